@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from scanner.batch import DaskWorkers, Delivery, Job, Processes, Request, Workers, list_jobs, run_batch, work
+from scanner.batch import DaskWorkers, Delivery, Job, Processes, BatchRequest, Workers, list_jobs, run_batch, work
 from scanner.configuration import load_config
 from scanner.jobs import scan
 from scanner.ui import Terminal
@@ -51,7 +51,7 @@ def _measure(folder: Path, recording: Path, count: int) -> None:
     for number in range(count):
         shutil.copytree(recording, folder / "captures" / f"{number:06}", copy_function=os.link)
     began_s = time.perf_counter()
-    jobs = list_jobs([str(folder / "captures")], Request(overrides=_ROOM[1:4]))
+    jobs = list_jobs([str(folder / "captures")], BatchRequest(overrides=_ROOM[1:4]))
     print(f"\n{count} captures, found in {time.perf_counter() - began_s:.2f} s")
     alone = _seconds_each_alone(jobs[:_ALONE], folder / "alone")
     print(f"alone, in a loop: {1000 * alone:.0f} ms a capture")

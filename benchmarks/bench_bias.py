@@ -23,7 +23,7 @@ from conditions.plain_decoder import plain_matches
 from calib.geometry import Matches
 from calib.numerics import Floats
 from hw.settings import SimulatedRigSettings
-from hw.simulated import GroundTruth, Room, SimulatedRoom, simulation
+from hw.simulated import GroundTruth, DrawnRoom, SimulatedRoom, simulation
 from scanner.decoding import Decoder
 from scanner.decoding.fringes import Footprint
 
@@ -69,7 +69,7 @@ def room_of(settings: SimulatedRigSettings, widths: float | None) -> SimulatedRo
     """A room whose projector has this focal length in picture widths; None for the rig's own."""
     place = simulation.place_room
 
-    def placed(*where: object) -> Room:
+    def placed(*where: object) -> DrawnRoom:
         room = place(*where)  # type: ignore[arg-type]
         if widths is None:
             return room

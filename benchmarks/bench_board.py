@@ -18,7 +18,7 @@ from conditions.captures import patterns_of, take
 from cramer_rao import bound_of_boards
 from scipy.optimize import least_squares
 
-from calib.boards import Board, BoardCalibration, View, calibrate_boards
+from calib.boards import Board, BoardCalibration, BoardView, calibrate_boards
 from calib.geometry import Calibration, Size
 from calib.numerics import Floats
 from calib.refinement import into_cells
@@ -85,7 +85,7 @@ def _scatter_of_focals(result: FromBoards, peers: list[Corners], sizes: tuple[Si
         print(f"  {name:8}{100 * most[0]:6.2f} % {most[1]:6.1f} px {most[2]:6.1f} px")
 
 
-def _own_corners(view: View) -> Corners:
+def _own_corners(view: BoardView) -> Corners:
     """The view's corners, with projector pixels from the cells of matches around each."""
     side = 1.2 * float(np.sqrt(np.median(np.ptp(view.cells.camera_px, axis=0).prod() / len(view.cells))))
     return local_corners(view.points, view.corners_px, view.cells.camera_px, view.cells.projector_px, 1.5 * side)
@@ -115,11 +115,11 @@ def _rms(residual: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
 
-def views_of(boards: SyntheticBoards) -> list[View]:
+def views_of(boards: SyntheticBoards) -> list[BoardView]:
     label = [np.zeros(len(view.matches), np.int32) for view in boards.views]
     cells = [into_cells(view.matches.with_faces(face), (0,)) for view, face in zip(boards.views, label, strict=True)]
     both = zip(boards.views, cells, strict=True)
-    return [View(f"view {i}", view.points, view.corners_px, each) for i, (view, each) in enumerate(both)]
+    return [BoardView(f"view {i}", view.points, view.corners_px, each) for i, (view, each) in enumerate(both)]
 
 
 def errors_of(found: BoardCalibration, truth: Calibration) -> tuple[Floats, Floats]:

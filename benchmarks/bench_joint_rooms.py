@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from calib.geometry import Corner, Matches
 from calib.numerics import Floats
 from calib.plane_segmentation import find_faces
-from calib.pointcloud import Cloud, MergedCloud, View, build_cloud, find_order, merged
+from calib.pointcloud import Cloud, MergedCloud, CornerView, build_cloud, find_order, merged
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate, self_calibrate_jointly
 from hw.settings import SimulatedRigSettings
@@ -59,13 +59,13 @@ def true_surfaces(room: SimulatedRoom) -> tuple[Floats, Floats]:
     return points.T, room.room.scene.normals(surface, points).T
 
 
-def merged_error(cloud: MergedCloud, views: list[View], captures: list[Captured], baseline_m: float) -> Floats:
+def merged_error(cloud: MergedCloud, views: list[CornerView], captures: list[Captured], baseline_m: float) -> Floats:
     """Distances of the merged points from the nearest true surface, relative to that from the nearest camera, (N,)."""
     edges = captures[0].room.room.scene.room.edges
     camera = captures[0].room.room.camera
     true_legs = edges / np.linalg.norm(edges, axis=1, keepdims=True)
     corner = Corner(np.zeros(3), true_legs)
-    true = View(views[0].points, None, views[0].camera, corner)
+    true = CornerView(views[0].points, None, views[0].camera, corner)
     # Both frames lie along the same legs; the first capture determines their order.
     axes = np.roll(views[0].axes, cloud.turns[0], axis=0) @ camera.rotation
     turn = next(turn for turn in range(3) if np.trace(np.roll(true.axes, turn, axis=0) @ axes.T) > 2)
@@ -78,12 +78,12 @@ def merged_error(cloud: MergedCloud, views: list[View], captures: list[Captured]
     return share
 
 
-def merge(captures: list[Captured], found: tuple[SelfCalibration, ...]) -> tuple[MergedCloud, list[Cloud], list[View]]:
+def merge(captures: list[Captured], found: tuple[SelfCalibration, ...]) -> tuple[MergedCloud, list[Cloud], list[CornerView]]:
     clouds, views = [], []
     for capture, solution in zip(captures, found, strict=True):
         clouds.append(build_cloud(solution.matches, capture.texture, solution.calibration))
         camera = solution.calibration.camera
-        views.append(View(clouds[-1].points, brightness(capture.texture), camera, solution.corner))
+        views.append(CornerView(clouds[-1].points, brightness(capture.texture), camera, solution.corner))
     order = find_order(views)
     if not order.decided:
         raise ValueError(f"the order of the faces is not decided: {order}")

@@ -31,7 +31,7 @@ from scanner.configuration import Config
 from scanner.live import (
     FRAMES,
     Account,
-    Decoder,
+    LiveDecoder,
     FirstLook,
     LiveCloud,
     LiveSequence,
@@ -65,11 +65,11 @@ def plain(grey: Image, sequence: LiveSequence) -> Floats:
     return np.where(np.abs(short) > _LEAST_AMPLITUDE, fine, np.nan)
 
 
-def prepared(bench: LiveBench) -> tuple[FirstLook, LiveSequence, Decoder]:
+def prepared(bench: LiveBench) -> tuple[FirstLook, LiveSequence, LiveDecoder]:
     """Prepare the live sequence as the program does before the first cloud."""
     seen = look(bench.rig, Config())
     sequence = best_sequence(bench.rig, seen, bench.calibration, DEPTHS)
-    return seen, sequence, Decoder(sequence, seen, bench.calibration)
+    return seen, sequence, LiveDecoder(sequence, seen, bench.calibration)
 
 
 def speed(smaller: float, clouds: int, exposure_s: float) -> list[str]:
@@ -157,7 +157,7 @@ def of_corner(seed: int) -> list[list[str]]:
         assert opened.truth is not None
         seen = look(opened.rig, config)
         sequence = best_sequence(opened.rig, seen, opened.truth, None)
-        decoder, earlier = Decoder(sequence, seen, opened.truth), list[LiveCloud]()
+        decoder, earlier = LiveDecoder(sequence, seen, opened.truth), list[LiveCloud]()
         cloud = None
         for each in islice(take_rounds(opened.rig, sequence, seen.response), 4):
             cloud = cloud if each is None else proven(decoder, each, earlier) or cloud

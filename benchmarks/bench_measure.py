@@ -18,9 +18,9 @@ from calib.geometry import Calibration, Matches, intersect
 from calib.numerics import Floats
 from calib.refusal import NoMeasurementError
 from hw.settings import SimulatedRigSettings
-from hw.simulated import Room, place_room, true_calibration
+from hw.simulated import DrawnRoom, place_room, true_calibration
 from scanner.commands import main as scan
-from scanner.measuring import Scene, measure, read_scene
+from scanner.measuring import MeasuredScene, measure, read_scene
 from scanner.results import FinishedScan, folder_of, read_finished_scan
 
 CAMERA, PROJECTOR = (612, 512), (427, 240)
@@ -38,7 +38,7 @@ def settings_of(seed: int, pose: int) -> SimulatedRigSettings:
     )
 
 
-def true_rig(room: Room) -> Calibration:
+def true_rig(room: DrawnRoom) -> Calibration:
     found = true_calibration(room)
     assert found is not None, "every room has a pinhole for a projector unless its picture is reshaped"
     return found
@@ -49,7 +49,7 @@ def note(errors: Errors, kind: str, error: float, budget: object) -> None:
     errors[kind].append((error, *shares))
 
 
-def compare(errors: Errors, how: str, folder: Path, room: Room) -> None:
+def compare(errors: Errors, how: str, folder: Path, room: DrawnRoom) -> None:
     """Measure in one result, and record the errors."""
     found = read_finished_scan(folder)
     scene = read_scene(folder, found.calibration)
@@ -80,7 +80,7 @@ def compare(errors: Errors, how: str, folder: Path, room: Room) -> None:
         note(errors, f"{how}: distance of pixels, m", distance.distance - true, distance.budget)
 
 
-def note_lengths(errors: Errors, how: str, found: FinishedScan, scene: Scene, truth: Calibration) -> None:
+def note_lengths(errors: Errors, how: str, found: FinishedScan, scene: MeasuredScene, truth: Calibration) -> None:
     """A short ruler in the middle of the scene: its length by the calibration, and the true one."""
     assert scene.lengths is not None
     middle, rig = scene.lengths.middle, found.calibration

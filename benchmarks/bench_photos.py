@@ -23,7 +23,7 @@ from calib.geometry import Intrinsics, Matches
 from calib.plane_segmentation import find_sparse_faces
 from calib.refusal import RefusalError
 from calib.self_calibration import calibrate_photos
-from calib.synthetic import PhotoOptions, SyntheticPhotos, random_photos
+from calib.synthetic import SyntheticPhotoOptions, SyntheticPhotos, random_photos
 
 NOISE_PX = 0.3
 WINDOW = (1120, 840)  # of a crop
@@ -32,21 +32,21 @@ WINDOW = (1120, 840)  # of a crop
 @dataclass(frozen=True)
 class Case:
     name: str
-    options: PhotoOptions = field(default_factory=PhotoOptions)
+    options: SyntheticPhotoOptions = field(default_factory=SyntheticPhotoOptions)
     squareness_deg: float = 0.0
     crop: bool = False
     find_faces: bool = False
     peer: str = ""
 
 
-WALLS = PhotoOptions(walls_off_deg=0.3)
+WALLS = SyntheticPhotoOptions(walls_off_deg=0.3)
 CASES = (
     Case("square"),
-    Case("square, noise in the second photo only", PhotoOptions(first_noise=False)),
-    Case("square, k1 −0.05", PhotoOptions(distortion=-0.05)),
+    Case("square, noise in the second photo only", SyntheticPhotoOptions(first_noise=False)),
+    Case("square, k1 −0.05", SyntheticPhotoOptions(distortion=-0.05)),
     Case("square, faces found", find_faces=True),
-    Case("square, whole", PhotoOptions(shift=0.0)),
-    Case("square, cropped", PhotoOptions(shift=0.0), crop=True),
+    Case("square, whole", SyntheticPhotoOptions(shift=0.0)),
+    Case("square, cropped", SyntheticPhotoOptions(shift=0.0), crop=True),
     Case("walls 0.3°", WALLS, 0.3),
     Case("walls 0.3°, 3 photos", replace(WALLS, photos=3), 0.3),
     Case("walls 0.3°, 4 photos", replace(WALLS, photos=4), 0.3),

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.boards import INTRINSIC_COLUMNS, View
+from calib.boards import INTRINSIC_COLUMNS, BoardView
 from calib.boards import State as BoardState
-from calib.boards.likelihood import Levels, device_prior
+from calib.boards.likelihood import BoardVariances, device_prior
 from calib.boards.likelihood import evaluate as evaluate_boards
 from calib.boards.parameters import PlacedBoard, device_of
 from calib.geometry import Matches
-from calib.networks import Device, Network, Sight
+from calib.networks import Device, Network, PlaneObservation
 from calib.networks.prior import NetworkKnowledge
 from calib.numerics import Floats
 from calib.refinement import (
@@ -108,7 +108,7 @@ def bound_of_photos(
     return sigma * np.array([camera[0], 1.0, 1.0])
 
 
-def bound_of_boards(boards: SyntheticBoards, views: list[View]) -> np.ndarray:
+def bound_of_boards(boards: SyntheticBoards, views: list[BoardView]) -> np.ndarray:
     """Sigmas of f_x, x_0, y_0 of camera and projector, (6,), in pixels, at the truth.
 
     Lens terms that are zero in truth are fixed, as is a board's bend; pixels are square. `views`: the matches of the
@@ -122,7 +122,7 @@ def bound_of_boards(boards: SyntheticBoards, views: list[View]) -> np.ndarray:
     zero = np.flatnonzero(state.additive()[:18] == 0)
     prior = prior.knowing(np.concatenate([zero, [1, 10]]))
     per_match = [options.match_px**2 * (view.cells.sigma_px / view.cells.noise_px) ** 2 for view in views]
-    levels = Levels(np.full(len(views), options.corner_px**2), tuple(per_match))
+    levels = BoardVariances(np.full(len(views), options.corner_px**2), tuple(per_match))
     fit = evaluate_boards(views, state, prior, levels)
     sigma = np.sqrt(np.diag(covariance_of(fit.information, prior.free(state))))[INTRINSIC_COLUMNS]
     return sigma * np.array([rig.camera.focal_px[0], 1, 1, rig.projector.focal_px[0], 1, 1])
@@ -161,7 +161,7 @@ def bound_of_network(made: SyntheticNetwork, names: Sequence[str], noise_px: flo
         cells = into_cells(matches, labels)
         for label in labels:
             own = cells[cells.plane == label]
-            sight = Sight(i, names.index(camera), names.index(projector), label, own)
+            sight = PlaneObservation(i, names.index(camera), names.index(projector), label, own)
             sights.append(replace(sight, cells=replace(own, projector_px=sight.predict(truth)[0])))
             variances.append(noise_px**2 * (own.sigma_px / own.noise_px) ** 2)
     sizes = {name: device.size for name, device in made.devices.items()}

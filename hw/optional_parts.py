@@ -16,7 +16,7 @@ _FOLDER = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
-class Part:
+class OptionalPart:
     """An extra. `system`: Debian packages that it needs. `target`: the Makefile's target that installs both."""
 
     extra: str
@@ -56,14 +56,14 @@ def _from_here(path: Path) -> str:
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
-CONSOLE = Part("console")
-BATCH = Part("batch")
-E57 = Part("e57")
-VIDEO = Part("video")
-RIG = Part(
+CONSOLE = OptionalPart("console")
+BATCH = OptionalPart("batch")
+E57 = OptionalPart("e57")
+VIDEO = OptionalPart("video")
+RIG = OptionalPart(
     "rig",
     system=("gir1.2-aravis-0.8", "libgirepository1.0-dev", "libcairo2-dev", "pkg-config", "gcc", "python3-dev"),
     target="rig",
 )
-GPHOTO2 = Part("gphoto2")
+GPHOTO2 = OptionalPart("gphoto2")
 PARTS = (CONSOLE, BATCH, E57, GPHOTO2, VIDEO, RIG)

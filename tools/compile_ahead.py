@@ -22,7 +22,7 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture import CaptureMetadata, capture
 from scanner.configuration import Config
-from scanner.exporting import FORMATS, Request
+from scanner.exporting import FORMATS, ExportRequest
 from scanner.patterns import PRESETS, Phase
 from scanner.pipeline import decode, reconstruct
 from scanner.reconstruction.keystone.planes import planes_at
@@ -92,7 +92,7 @@ def _from_matches() -> None:
         out = Path(scratch) / "result"
         with new_result(out, _CONFIG, overwrite=False, tell=_QUIET.note) as folder:
             reconstruct([_true_matches(room) for room in _ROOMS], _CONFIG, folder, _QUIET)
-        FORMATS["mesh"].write(Request(out, out.with_suffix(".ply"), False))
+        FORMATS["mesh"].write(ExportRequest(out, out.with_suffix(".ply"), False))
 
 
 def _true_matches(settings: SimulatedRigSettings) -> Decoded:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from calib.boards.estimate import Estimate
-from calib.boards.likelihood import Fit, View, minimise
+from calib.boards.likelihood import Fit, BoardView, minimise
 from calib.boards.parameters import (
     CAMERA,
     FOCAL,
@@ -45,7 +45,7 @@ _ADVICE = (
 
 
 @dataclass(frozen=True)
-class Coverage:
+class BoardCoverage:
     """How the boards were held: the largest angle between two of them, the farthest over the nearest, and the share of
     each picture's area that the hull of all their corners, or lit cells, has.
     """
@@ -69,12 +69,12 @@ class Coverage:
         return found
 
 
-def coverage_of(views: Sequence[View], state: State, camera_size: Size, projector_size: Size) -> Coverage:
+def coverage_of(views: Sequence[BoardView], state: State, camera_size: Size, projector_size: Size) -> BoardCoverage:
     """Of views and where their boards are."""
     normals = [state.normal(i) for i in range(len(views))]
     angles = [np.degrees(np.arccos(min(abs(float(a @ b)), 1.0))) for a, b in combinations(normals, 2)]
     distances = [board.pose.distance for board in state.boards]
-    return Coverage(
+    return BoardCoverage(
         float(max(angles, default=0.0)),
         max(distances) / min(distances),
         _hull_share([view.corners_px for view in views], camera_size),
@@ -94,12 +94,12 @@ def too_few(count: int) -> RefusalError:
     )
 
 
-def no_rig(coverage: Coverage | None) -> RefusalError:
+def no_rig(coverage: BoardCoverage | None) -> RefusalError:
     """The refusal where no devices explain the views."""
     return RefusalError("No camera and projector explain these boards" + _because(coverage), _ADVICE)
 
 
-def refuse_untrustworthy(found: Estimate, others: Sequence[Fit], coverage: Coverage, sizes: tuple[Size, Size]) -> None:
+def refuse_untrustworthy(found: Estimate, others: Sequence[Fit], coverage: BoardCoverage, sizes: tuple[Size, Size]) -> None:
     """Raise RefusalError where the boards do not determine both devices, everywhere in their pictures and uniquely."""
     sigma = np.sqrt(found.covariance.diagonal())
     if coverage.tilt_deg < _HOPELESSLY_PARALLEL_DEG:
@@ -200,6 +200,6 @@ def _focals(fit: Fit) -> str:
     return f"a camera of {fit.state.camera[0]:.0f} px with a projector of {fit.state.projector[0]:.0f} px"
 
 
-def _because(coverage: Coverage | None) -> str:
+def _because(coverage: BoardCoverage | None) -> str:
     reasons = coverage.reasons if coverage else []
     return f": {'; '.join(reasons)}." if reasons else "."

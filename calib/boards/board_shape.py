@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.boards.likelihood import Levels, Prior, View, minimise
+from calib.boards.likelihood import BoardVariances, Prior, BoardView, minimise
 from calib.boards.parameters import PlacedBoard, State
 from calib.geometry import Pose
 from calib.numerics import Floats
@@ -22,8 +22,8 @@ _EVIDENT = 3.0  # nats
 
 
 def oriented_consistently(
-    views: Sequence[View], state: State, prior: Prior, levels: Levels, turns: int
-) -> tuple[tuple[View, ...], State]:
+    views: Sequence[BoardView], state: State, prior: Prior, levels: BoardVariances, turns: int
+) -> tuple[tuple[BoardView, ...], State]:
     """Views and state with each board oriented like the first one, among this many symmetric orientations."""
     views, current = list(views), minimise(views, state, prior, levels, tolerance=_ROUGH)
     for _ in range(_PASSES if turns > 1 else 0):
@@ -39,7 +39,7 @@ def oriented_consistently(
     return tuple(views), current.state
 
 
-def _turned(views: list[View], state: State, which: int, turn: float) -> tuple[list[View], State]:
+def _turned(views: list[BoardView], state: State, which: int, turn: float) -> tuple[list[BoardView], State]:
     """The views with one board rotated about its normal."""
     angle = 2 * np.pi * turn
     about = np.round(np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]))
@@ -51,7 +51,7 @@ def _turned(views: list[View], state: State, which: int, turn: float) -> tuple[l
     return turned, replace(state, boards=tuple(boards))
 
 
-def flex_of(views: Sequence[View], state: State, prior: Prior, levels: Levels) -> float:
+def flex_of(views: Sequence[BoardView], state: State, prior: Prior, levels: BoardVariances) -> float:
     """By how much the board's bend differs from pose to pose, as a `Prior` has it; 0 where a rigid one does as well.
 
     The evidence is Laplace's approximation of it: cost and curvature at the maximum.
@@ -61,7 +61,7 @@ def flex_of(views: Sequence[View], state: State, prior: Prior, levels: Levels) -
     return _FLEXES[best - 1] if best and evidence[best] > evidence[0] + _EVIDENT else 0.0
 
 
-def _log_evidence(views: Sequence[View], state: State, prior: Prior, levels: Levels) -> float:
+def _log_evidence(views: Sequence[BoardView], state: State, prior: Prior, levels: BoardVariances) -> float:
     fit = minimise(views, state, prior, levels, tolerance=_ROUGH)
     free = prior.free(fit.state)
     scale: Floats = np.sqrt(np.diag(fit.information)[free])

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.boards.acceptance import (
     FEWEST_VIEWS,
-    Coverage,
+    BoardCoverage,
     coverage_of,
     no_rig,
     refuse_untrustworthy,
@@ -17,7 +17,7 @@ from calib.boards.acceptance import (
 from calib.boards.board_shape import flex_of, oriented_consistently
 from calib.boards.cross_validation import Halves, Prediction, halves, leave_one_out
 from calib.boards.estimate import Estimate, estimate
-from calib.boards.likelihood import Fit, Prior, View, device_prior, minimise
+from calib.boards.likelihood import Fit, Prior, BoardView, device_prior, minimise
 from calib.boards.parameters import (
     CAMERA,
     CENTRE,
@@ -76,12 +76,12 @@ class BoardCalibration:
     halves: Halves | None
     enlarged: float
     left_out: tuple[OutlierView, ...]
-    coverage: Coverage
+    coverage: BoardCoverage
     notes: tuple[str, ...]
 
 
 def calibrate_boards(
-    views: Sequence[View],
+    views: Sequence[BoardView],
     camera_size: Size,
     projector_size: Size,
     board: Board,
@@ -104,11 +104,11 @@ def calibrate_boards(
     rigid = replace(found.state, boards=tuple(PlacedBoard(board.pose) for board in found.state.boards))
     minima = rigid, *(fit.state for fit in begun[1:])
 
-    def anew(some: Sequence[View]) -> Estimate:
+    def anew(some: Sequence[BoardView]) -> Estimate:
         again = starts(some, camera_size, projector_size, board.reach, prior)
         return estimated(some, again[0].state, prior, board) if again else nearby(some)
 
-    def nearby(some: Sequence[View]) -> Estimate:
+    def nearby(some: Sequence[BoardView]) -> Estimate:
         """From the best of the minima of all views."""
         chosen = [names.index(view.name) for view in some]
         fits = best_first(some, [state.of_views(chosen) for state in minima], prior)
@@ -137,7 +137,7 @@ def calibrate_boards(
     )
 
 
-def estimated(views: Sequence[View], start: State, prior: Prior, board: Board) -> Estimate:
+def estimated(views: Sequence[BoardView], start: State, prior: Prior, board: Board) -> Estimate:
     """From views of one board, oriented consistently, with the flex that they show."""
     rough = estimate(views, start, prior, rough_levels(views))
     if board.turns > 1:
@@ -148,7 +148,7 @@ def estimated(views: Sequence[View], start: State, prior: Prior, board: Board) -
 
 
 def _without_outliers(
-    found: Estimate, anew: Callable[[Sequence[View]], Estimate], nearby: Callable[[Sequence[View]], Estimate]
+    found: Estimate, anew: Callable[[Sequence[BoardView]], Estimate], nearby: Callable[[Sequence[BoardView]], Estimate]
 ) -> tuple[Estimate, tuple[Prediction, ...], tuple[OutlierView, ...]]:
     """The estimate without views that the others predict badly: a board that moved, or another board."""
     left_out: list[OutlierView] = []
@@ -172,7 +172,7 @@ def _without_outliers(
         found = anew([*found.views[:worst], *found.views[worst + 1 :]])
 
 
-def _others(found: Estimate, begun: Sequence[Fit], views: Sequence[View]) -> list[Fit]:
+def _others(found: Estimate, begun: Sequence[Fit], views: Sequence[BoardView]) -> list[Fit]:
     """The further minima, refined like the best one."""
     names = [view.name for view in views]
     chosen = [names.index(view.name) for view in found.views]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.boards.estimate import Estimate
-from calib.boards.likelihood import Levels, View, minimise
+from calib.boards.likelihood import BoardVariances, BoardView, minimise
 from calib.boards.parameters import (
     CAMERA,
     INTRINSIC_COLUMNS,
@@ -65,7 +65,7 @@ class Halves:
         return float(np.sqrt(np.mean((self.difference / self.sigma) ** 2)))
 
 
-def leave_one_out(found: Estimate, again: Callable[[Sequence[View]], Estimate]) -> tuple[Prediction, ...]:
+def leave_one_out(found: Estimate, again: Callable[[Sequence[BoardView]], Estimate]) -> tuple[Prediction, ...]:
     """Each view predicted by the others; empty for fewer than three.
 
     `again`: estimates from some of the views.
@@ -101,7 +101,7 @@ def _predicted(found: Estimate, left_out: int, rest: Estimate) -> Prediction:
     return Prediction(view.name, float(np.sqrt(square.mean())), float(np.sqrt(variance.mean())), moved)
 
 
-def _usual_levels(found: Estimate, view: int) -> Levels:
+def _usual_levels(found: Estimate, view: int) -> BoardVariances:
     """A view's own levels without its smooth misfit, unless they are far above those of the others.
 
     Otherwise a board that moved would look noisy, and be excused.
@@ -110,7 +110,7 @@ def _usual_levels(found: Estimate, view: int) -> Levels:
     usual = float(np.median([np.median(variances) for variances in independent]))
     own = independent[view] * min(1.0, _EXCUSED * usual / float(np.median(independent[view])))
     corners = found.levels.corners
-    return Levels(np.minimum(corners[[view]], _EXCUSED * np.median(corners)), (own,))
+    return BoardVariances(np.minimum(corners[[view]], _EXCUSED * np.median(corners)), (own,))
 
 
 def _variance(jacobian: Floats, covariance: Floats) -> Floats:
@@ -119,7 +119,7 @@ def _variance(jacobian: Floats, covariance: Floats) -> Floats:
     return variance
 
 
-def halves(found: Estimate, anew: Callable[[Sequence[View]], Estimate]) -> Halves | None:
+def halves(found: Estimate, anew: Callable[[Sequence[BoardView]], Estimate]) -> Halves | None:
     """Every second view compared with the others, each half estimated `anew`, from the starts on.
 
     None if a half has too few views, or determines nothing.

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calib.boards.likelihood import Fit, Levels, Prior, View, minimise
+from calib.boards.likelihood import Fit, BoardVariances, Prior, BoardView, minimise
 from calib.boards.noise import measured
 from calib.boards.parameters import SHARED, State
 from calib.numerics import Floats
@@ -21,10 +21,10 @@ class Estimate:
     `covariance` (SHARED, SHARED) of the common parameters.
     """
 
-    views: tuple[View, ...]
+    views: tuple[BoardView, ...]
     fit: Fit
     prior: Prior
-    levels: Levels
+    levels: BoardVariances
     corner_px: Floats
     noise: tuple[Noise, ...]
     covariance: Floats
@@ -35,7 +35,7 @@ class Estimate:
         return self.fit.state
 
 
-def estimate(views: Sequence[View], start: State, prior: Prior, levels: Levels) -> Estimate:
+def estimate(views: Sequence[BoardView], start: State, prior: Prior, levels: BoardVariances) -> Estimate:
     """Estimate from a start near the minimum; `levels` are an initial guess of the noise.
 
     State and noise are estimated alternately until both converge; the result does not depend on the guess.

@@ -37,7 +37,7 @@ _BEND_SIGMA = (0.01, 0.01, 0.01, 0.003, 0.003, 0.003, 0.003)
 
 
 @dataclass(frozen=True)
-class View:
+class BoardView:
     """One pose of the board: its corners `points` (N, 2), in lengths from its middle, `corners_px` (N, 2) where the
     camera saw them, and the `cells` of matches on it. `name` says in messages which it is.
     """
@@ -49,13 +49,13 @@ class View:
 
 
 @dataclass(frozen=True)
-class Levels:
+class BoardVariances:
     """Variances of each coordinate: of the corners of each view (V,), of each view's cells, (M,) each."""
 
     corners: Floats
     cells: tuple[Floats, ...]
 
-    def change(self, before: "Levels") -> float:
+    def change(self, before: "BoardVariances") -> float:
         """The largest difference of a variance's logarithm."""
         pairs = zip((self.corners, *self.cells), (before.corners, *before.cells), strict=True)
         return max(float(np.abs(np.log(own / earlier)).max()) for own, earlier in pairs)
@@ -108,7 +108,7 @@ class Fit(Quadratic):
     cells: tuple[Floats, ...]
 
 
-def evaluate(views: Sequence[View], state: State, prior: Prior, levels: Levels, *, matches: bool = True) -> Fit:
+def evaluate(views: Sequence[BoardView], state: State, prior: Prior, levels: BoardVariances, *, matches: bool = True) -> Fit:
     """The cost of a state with its derivatives; infinite if more than outliers fall behind a device.
 
     Without `matches`, only the camera is evaluated.
@@ -148,10 +148,10 @@ def evaluate(views: Sequence[View], state: State, prior: Prior, levels: Levels, 
 
 
 def minimise(
-    views: Sequence[View],
+    views: Sequence[BoardView],
     state: State,
     prior: Prior,
-    levels: Levels,
+    levels: BoardVariances,
     *,
     free: Bools | None = None,
     matches: bool = True,

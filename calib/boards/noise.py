@@ -6,7 +6,7 @@ from functools import reduce
 
 import numpy as np
 
-from calib.boards.likelihood import Fit, Levels, Prior, View
+from calib.boards.likelihood import Fit, BoardVariances, Prior, BoardView
 from calib.boards.parameters import PER_POSE, SHARED
 from calib.numerics import CUBIC, MEDIAN_LENGTH, Floats
 from calib.refinement import Cells, Noise, joined, long_waves, noise_of
@@ -15,7 +15,7 @@ _LEAST_CORNER_PX = 1e-3
 _PRIOR_FREEDOM = 20.0  # degrees of freedom of the prior on a view's noise, around that of all views
 
 
-def measured(views: Sequence[View], fit: Fit, prior: Prior) -> tuple[Levels, Floats, tuple[Noise, ...]]:
+def measured(views: Sequence[BoardView], fit: Fit, prior: Prior) -> tuple[BoardVariances, Floats, tuple[Noise, ...]]:
     """Levels for the likelihood, corner noise (V,) in camera px, and the noise of each view's matches.
 
     Each view's residuals are fitted by its pose and its part of the common parameters: half by its corners, half by its
@@ -34,7 +34,7 @@ def measured(views: Sequence[View], fit: Fit, prior: Prior) -> tuple[Levels, Flo
     corner_px = _corner_sigmas(fit, absorbed)
     corners = [_as_cells(view, sigma) for view, sigma in zip(views, corner_px, strict=True)]
     of_corners, _ = _long_waves(corners, fit.corners, [each.sigma_px**2 for each in corners], absorbed)
-    levels = Levels(corner_px**2 * of_corners, tuple(map(np.multiply, independent, inflation)))
+    levels = BoardVariances(corner_px**2 * of_corners, tuple(map(np.multiply, independent, inflation)))
     return levels, corner_px, noise
 
 
@@ -72,7 +72,7 @@ def _drawn_together(squares: Floats, freedom: Floats) -> Floats:
     return (squares + _PRIOR_FREEDOM * usual) / (freedom + _PRIOR_FREEDOM)
 
 
-def _as_cells(view: View, sigma_px: float) -> Cells:
+def _as_cells(view: BoardView, sigma_px: float) -> Cells:
     """A view's corners as cells, to test whether errors of neighbours correlate."""
     count = len(view.points)
     one, label = np.ones(count), np.zeros(count, np.int32)

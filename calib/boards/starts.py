@@ -11,7 +11,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from calib.boards.likelihood import Fit, Levels, Prior, View, minimise
+from calib.boards.likelihood import Fit, BoardVariances, Prior, BoardView, minimise
 from calib.boards.parameters import (
     BEND,
     CAMERA,
@@ -38,7 +38,7 @@ _DIFFERENT = 0.02  # of log f
 
 
 def starts(
-    views: Sequence[View], camera_size: tuple[int, int], projector_size: tuple[int, int], reach: float, prior: Prior
+    views: Sequence[BoardView], camera_size: tuple[int, int], projector_size: tuple[int, int], reach: float, prior: Prior
 ) -> list[Fit]:
     """Rough fits of the views with different focals, best first."""
     levels = rough_levels(views)
@@ -51,7 +51,7 @@ def starts(
     return _distinct([fit for fit in best_first(views, states, rough) if np.isfinite(fit.cost)])
 
 
-def best_first(views: Sequence[View], states: Sequence[State], prior: Prior) -> list[Fit]:
+def best_first(views: Sequence[BoardView], states: Sequence[State], prior: Prior) -> list[Fit]:
     """The rough fits that the states lead to."""
     levels = rough_levels(views)
     fits = [minimise(views, state, prior, levels, tolerance=_ROUGH, steps=_STEPS) for state in states]
@@ -64,9 +64,9 @@ def _distinct(fits: list[Fit]) -> list[Fit]:
     return [fits[k] for k in distinct(len(fits), lambda k: np.abs(focals - focals[k]).max(axis=1) <= _DIFFERENT)]
 
 
-def rough_levels(views: Sequence[View]) -> Levels:
+def rough_levels(views: Sequence[BoardView]) -> BoardVariances:
     """Noise of one pixel everywhere."""
-    return Levels(np.full(len(views), _ROUGH_PX), tuple(np.full(len(view.cells), _ROUGH_PX) for view in views))
+    return BoardVariances(np.full(len(views), _ROUGH_PX), tuple(np.full(len(view.cells), _ROUGH_PX) for view in views))
 
 
 def _all_but(*free: int) -> list[int]:
@@ -76,7 +76,7 @@ def _all_but(*free: int) -> list[int]:
 
 
 def _cameras(
-    views: Sequence[View], size: tuple[int, int], reach: float, prior: Prior, levels: Levels
+    views: Sequence[BoardView], size: tuple[int, int], reach: float, prior: Prior, levels: BoardVariances
 ) -> Iterator[State]:
     """States whose camera and poses fit the corners; the projector is undetermined."""
     trials = []
@@ -99,7 +99,7 @@ def _cameras(
     yield from (fit.state for fit in sorted(found, key=lambda fit: fit.cost))
 
 
-def _turned_over(views: Sequence[View], fit: Fit, prior: Prior, levels: Levels, free: Bools) -> Fit:
+def _turned_over(views: Sequence[BoardView], fit: Fit, prior: Prior, levels: BoardVariances, free: Bools) -> Fit:
     """The same with each board in the other of the two poses that a weak perspective leaves, where that is better."""
     boards = tuple(pose_of(view.points, view.corners_px, fit.state.camera)[0] for view in views)
     start = replace(fit.state, boards=boards)
@@ -124,7 +124,7 @@ def _posed(turn: cv2.typing.MatLike, place: cv2.typing.MatLike) -> Pose:
     return Pose(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place, np.float64).ravel())
 
 
-def _projectors(views: Sequence[View], state: State, size: tuple[int, int]) -> Iterator[State]:
+def _projectors(views: Sequence[BoardView], state: State, size: tuple[int, int]) -> Iterator[State]:
     """The state with the projector that the lit points give, and with one for each of several focals."""
     points, pixels = _lit(views, state)
     solved = resected(points, pixels)
@@ -151,7 +151,7 @@ def _with_projector(state: State, focal: float, centre: Floats, pose: Pose) -> S
     return replace(state, projector=np.array([focal, 1.0, *centre, 0, 0, 0, 0, 0], np.float64), pose=pose)
 
 
-def _lit(views: Sequence[View], state: State) -> tuple[Floats, Floats]:
+def _lit(views: Sequence[BoardView], state: State) -> tuple[Floats, Floats]:
     """Points (N, 3) in the camera's frame that cells of matches see, and their projector pixels (N, 2)."""
     points, pixels = [], []
     for i, view in enumerate(views):

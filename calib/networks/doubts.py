@@ -9,8 +9,8 @@ import numpy as np
 from calib.geometry import Matches, Size
 from calib.networks.network import Network
 from calib.networks.overlaps import PairName
-from calib.networks.raster import Raster, SeenAt
-from calib.networks.sights import Sight
+from calib.networks.raster import ImageRaster, SeenAt
+from calib.networks.sights import PlaneObservation
 from calib.numerics import Floats, evenly, median, robust_sigma
 from calib.refusal import RefusalError
 from calib.rooms.likelihood import Fit
@@ -44,7 +44,7 @@ def refuse_mirrored(captures: Mapping[PairName, Matches], sizes: Mapping[str, Si
 
 def _is_mirrored(matches: Matches, size: Size) -> bool:
     some = matches[evenly(np.ones(len(matches), np.bool_), _SAMPLE)]
-    by_own = SeenAt.of(Raster.fine(size, [some.projector_px]), some.projector_px, some.camera_px).by_own
+    by_own = SeenAt.of(ImageRaster.fine(size, [some.projector_px]), some.projector_px, some.camera_px).by_own
     known = by_own[np.isfinite(by_own).all(axis=(-2, -1))]
     return len(known) > 0 and float(np.median(np.linalg.det(known))) < 0
 
@@ -61,7 +61,7 @@ class Strain:
     uneven: float
 
 
-def strains(sights: Sequence[Sight], fit: Fit[Network]) -> dict[int, Strain]:
+def strains(sights: Sequence[PlaneObservation], fit: Fit[Network]) -> dict[int, Strain]:
     """By number of the pair, of all that have a sight."""
     residuals: dict[int, list[Floats]] = {}
     for sight, residual in zip(sights, fit.residuals, strict=True):
@@ -79,7 +79,7 @@ def strains(sights: Sequence[Sight], fit: Fit[Network]) -> dict[int, Strain]:
     }
 
 
-def standing_alike(names: Sequence[str], sights: Sequence[Sight], network: Network) -> list[tuple[str, str, float]]:
+def standing_alike(names: Sequence[str], sights: Sequence[PlaneObservation], network: Network) -> list[tuple[str, str, float]]:
     """Devices that are nearly in one place, with their distance over that of what they see."""
     rays: dict[int, list[Floats]] = {}
     for sight in sights:

@@ -12,7 +12,7 @@ from calib.networks.missing import not_connected
 from calib.networks.network import WARP, Device, Network
 from calib.networks.overlaps import PairName
 from calib.networks.prior import NetworkKnowledge
-from calib.networks.sights import Sight
+from calib.networks.sights import PlaneObservation
 from calib.networks.warps import Warps, find_warps, or_moved, weighed
 from calib.numerics import Floats, evenly
 from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
@@ -43,7 +43,7 @@ class NetworkEstimate:
     covariance: Floats
     noise: Mapping[PairName, Noise]
     seed: PairName
-    sights: tuple[Sight, ...]
+    sights: tuple[PlaneObservation, ...]
     waves: Floats
     warps: Warps
     strains: Mapping[PairName, Strain]
@@ -168,7 +168,7 @@ def _calibrated(pair: PairName, matches: Matches, knowledge: NetworkKnowledge, m
     )
 
 
-def _without_wrong_ties(grown: Grown) -> tuple[tuple[Sight, ...], Fit[Network]]:
+def _without_wrong_ties(grown: Grown) -> tuple[tuple[PlaneObservation, ...], Fit[Network]]:
     """A first fit; sights that are not on the plane that they were taken for have planes of their own, and those that
     end behind a device are left out.
     """
@@ -193,7 +193,7 @@ def _without_wrong_ties(grown: Grown) -> tuple[tuple[Sight, ...], Fit[Network]]:
             return sights, fit
 
 
-def _in_front(network: Network, sights: tuple[Sight, ...]) -> tuple[Network, tuple[Sight, ...]]:
+def _in_front(network: Network, sights: tuple[PlaneObservation, ...]) -> tuple[Network, tuple[PlaneObservation, ...]]:
     """Sights that are before both devices, all but strays, and the planes that have one."""
     kept = [sight for sight in sights if np.mean((sight.predict(network)[2] > 0).all(axis=1)) >= _IN_FRONT]
     planes_kept = sorted({sight.plane for sight in kept})

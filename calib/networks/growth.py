@@ -16,7 +16,7 @@ from calib.networks.placement import placed, placed_before_wall, sees, triangula
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.raster import label_map, read
 from calib.networks.shared_points import SharedPoints
-from calib.networks.sights import Sight, points_on
+from calib.networks.sights import PlaneObservation, points_on
 from calib.numerics import Bools, Floats, evenly
 from calib.refinement import device_of, into_cells
 from calib.rooms import RoomPlane, plane_through
@@ -42,7 +42,7 @@ class Grown:
     names: tuple[str, ...]
     network: Network
     labelled: Mapping[PairName, Matches]
-    sights: tuple[Sight, ...]
+    sights: tuple[PlaneObservation, ...]
     captures: Mapping[PairName, Matches]
     overlaps: Overlaps
     knowledge: NetworkKnowledge
@@ -193,7 +193,7 @@ class Grown:
         camera, projector = (self.names.index(name) for name in pair)
         cells = into_cells(matches, labels) if labels else None
         own = [
-            Sight(len(self.labelled), camera, projector, label, cells[cells.plane == label])
+            PlaneObservation(len(self.labelled), camera, projector, label, cells[cells.plane == label])
             for label in labels
             if cells is not None
         ]

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.geometry import Matches, unproject
 from calib.networks.estimate import NetworkEstimate
-from calib.networks.raster import Raster, SeenAt, depths
+from calib.networks.raster import ImageRaster, SeenAt, depths
 from calib.networks.shared_points import SharedPoints
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, evenly
 
@@ -34,7 +34,7 @@ class Joined:
     best_sigma: Floats
     cameras: Ints
     seen_px: Mapping[str, Floats]
-    disagreements: tuple["Disagreement", ...]
+    disagreements: tuple["DepthDisagreement", ...]
 
     @property
     def gain(self) -> float:
@@ -44,7 +44,7 @@ class Joined:
 
 
 @dataclass(frozen=True)
-class Disagreement:
+class DepthDisagreement:
     """Two cameras' depths in one projector's light: median difference, relative to the depth, what the sigmas of
     matches and devices would make of it, and the number of cells that both saw.
     """
@@ -59,7 +59,7 @@ class Disagreement:
 def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Matches]) -> Joined:
     """All cameras' matches with one projector, (N,) each."""
     device = estimate.device(projector)
-    raster = Raster.fine(estimate.sizes[projector], [matches.projector_px for matches in by_camera.values()])
+    raster = ImageRaster.fine(estimate.sizes[projector], [matches.projector_px for matches in by_camera.values()])
     height, width = raster.height, raster.width
     rays, _ = unproject(device.lens, raster.centres.reshape(-1, 2))
     rays = device.pose.rotate(rays)
@@ -100,11 +100,11 @@ def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Ma
 def _disagreements(
     estimate: NetworkEstimate,
     projector: str,
-    raster: Raster,
+    raster: ImageRaster,
     seen: Mapping[str, Floats],
     depth: Floats,
     variance: Floats,
-) -> list[Disagreement]:
+) -> list[DepthDisagreement]:
     """Of each two cameras, in the order of `seen`; depths and their variances by noise, (cameras, cells)."""
     found, hub, network = [], estimate.names.index(projector), estimate.network
     for (i, first), (j, second) in combinations(enumerate(seen), 2):
@@ -122,5 +122,5 @@ def _disagreements(
         by_devices = np.einsum("nc,cd,nd->n", slopes, estimate.covariance, slopes, optimize=True)
         sigma = np.sqrt(variance[i, some] + variance[j, some] + by_devices)
         expected = float(np.median(2 * sigma / (depth[i, some] + depth[j, some]))) / SIGMA_PER_MEDIAN
-        found.append(Disagreement(first, second, off, expected, int(both.sum())))
+        found.append(DepthDisagreement(first, second, off, expected, int(both.sum())))
     return found

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.geometry import Matches, Size, unproject
 from calib.networks.network import Device, Network
-from calib.networks.raster import Raster, SeenAt, depths
+from calib.networks.raster import ImageRaster, SeenAt, depths
 from calib.networks.shared_points import SharedPoints, shared_points
 from calib.numerics import Bools, Floats
 
@@ -25,7 +25,7 @@ class Overlaps:
     matches with.
     """
 
-    rasters: Mapping[str, Raster]
+    rasters: Mapping[str, ImageRaster]
     seen: Mapping[tuple[str, str], SeenAt]
 
     @classmethod
@@ -36,7 +36,7 @@ class Overlaps:
             pixels.setdefault(camera, {})[projector] = matches.camera_px, matches.projector_px
             pixels.setdefault(projector, {})[camera] = matches.projector_px, matches.camera_px
         shared = {hub: others for hub, others in pixels.items() if len(others) > 1}
-        rasters = {hub: Raster.fine(sizes[hub], [own for own, _ in each.values()]) for hub, each in shared.items()}
+        rasters = {hub: ImageRaster.fine(sizes[hub], [own for own, _ in each.values()]) for hub, each in shared.items()}
         seen = {
             (hub, other): SeenAt.of(rasters[hub], *each)
             for hub, others in shared.items()

@@ -22,7 +22,7 @@ _STEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Raster:
+class ImageRaster:
     """Square cells of `cell` pixels over an image, `height` × `width` of them."""
 
     cell: int
@@ -30,7 +30,7 @@ class Raster:
     width: int
 
     @classmethod
-    def fine(cls, size: Size, pixels: Iterable[Floats]) -> "Raster":
+    def fine(cls, size: Size, pixels: Iterable[Floats]) -> "ImageRaster":
         """With some in each cell of every list of pixels (N, 2)."""
         cell = max(_cell_of(each, size) for each in pixels)
         return cls(cell, size.height // cell, size.width // cell)
@@ -51,7 +51,7 @@ class Raster:
 
 def _cell_of(pixels: Floats, size: Size) -> int:
     for cell in range(1, _LARGEST_CELL):
-        flat, _ = Raster(cell, size.height // cell, size.width // cell).numbers(pixels)
+        flat, _ = ImageRaster(cell, size.height // cell, size.width // cell).numbers(pixels)
         count = np.bincount(flat, minlength=1)
         if np.median(count[count > 0]) >= _MATCHES_PER_CELL:
             return cell
@@ -72,7 +72,7 @@ class SeenAt:
     noise_px: float
 
     @classmethod
-    def of(cls, raster: Raster, own: Floats, other: Floats) -> "SeenAt":
+    def of(cls, raster: ImageRaster, own: Floats, other: Floats) -> "SeenAt":
         """From matches of pixels (N, 2) of the raster's device with the other's."""
         shape, cell = (raster.height, raster.width), raster.cell
         flat, inside = raster.numbers(own)
@@ -142,7 +142,7 @@ def depths(own: Device, other: Device, centres: Floats, seen: SeenAt) -> tuple[F
 _SURROUNDED = 4  # of eight neighbours with the same label; where a plane ends beside a cell nothing is told
 
 
-def label_map(raster: Raster, labelled: Iterable[tuple[Floats, Ints]]) -> Ints:
+def label_map(raster: ImageRaster, labelled: Iterable[tuple[Floats, Ints]]) -> Ints:
     """Labels (h, w) of a raster's cells from pixels (N, 2) and their labels (N,) of several pairs.
 
     NO_FACE where none is near, where labels differ in a cell or beside it, and at the rim of what is labelled.
@@ -168,7 +168,7 @@ def label_map(raster: Raster, labelled: Iterable[tuple[Floats, Ints]]) -> Ints:
     return np.where(certain, label, NO_FACE).astype(np.int32)
 
 
-def read(raster: Raster, certain: Ints, pixels: Floats) -> Ints:
+def read(raster: ImageRaster, certain: Ints, pixels: Floats) -> Ints:
     """Labels (N,) of pixels (N, 2) from those of cells (h, w)."""
     flat, inside = raster.numbers(pixels)
     labels = np.full(len(pixels), NO_FACE, np.int32)

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 
 from calib.geometry import cross_matrix
 from calib.networks.network import PER_NODE, PLACE, WARP, Device, Network
-from calib.networks.raster import Raster, SeenAt, depths
+from calib.networks.raster import ImageRaster, SeenAt, depths
 from calib.numerics import Bools, Floats, Ints, evenly, huber_loss, huber_weights
 from calib.refinement import PER_DEVICE, ROBUST_SIGMAS
 from calib.rooms.contacts import block_inflation
@@ -140,7 +140,7 @@ def _slope_of_depth(weight: Floats, by_depth: Floats, jacobian: Floats) -> Float
 
 
 def shared_points(
-    hub: int, raster: Raster, seen: Mapping[int, SeenAt], loose: Bools, network: Network, repeats: Mapping[int, int]
+    hub: int, raster: ImageRaster, seen: Mapping[int, SeenAt], loose: Bools, network: Network, repeats: Mapping[int, int]
 ) -> SharedPoints | None:
     """Of the cells `loose` (h, w) that two devices or more see; None of too few.
 

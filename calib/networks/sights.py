@@ -15,7 +15,7 @@ _AXES = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class PlaneObservation:
     """The `cells` of one plane that `camera` sees in the light of `projector`; all by number in the network.
 
     `capture`: number of the pair.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.networks.network import Network
-from calib.networks.sights import Sight
+from calib.networks.sights import PlaneObservation
 from calib.numerics import Bools, Floats, Ints, huber_loss, huber_weights
 from calib.refinement import ROBUST_SIGMAS, covariance_of
 from calib.rooms.flatness import modes_over
@@ -25,13 +25,13 @@ _AS_ALL = 3.0  # waves that all planes count as in the variance of one
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class PlaneRelief:
     """All `sights` of one plane, (M,) `variances` of each one's cells, and `modes` (M, K) of heights there.
 
     `steepness`: standard deviation of their amplitudes.
     """
 
-    sights: tuple[Sight, ...]
+    sights: tuple[PlaneObservation, ...]
     variances: tuple[Floats, ...]
     modes: tuple[Floats, ...]
     steepness: float
@@ -106,14 +106,14 @@ class Heights:
         return max(len(self.amplitudes) - float(whole) / steepness**2, 0.0)
 
 
-def surfaces_of(sights: Sequence[Sight], fit: Fit[Network], variances: Sequence[Floats]) -> tuple[Surface, ...]:
+def surfaces_of(sights: Sequence[PlaneObservation], fit: Fit[Network], variances: Sequence[Floats]) -> tuple[PlaneRelief, ...]:
     """All planes, with heights that are as steep as residuals along them allow."""
     found = []
     squares = []
     for plane, flat in enumerate(fit.layout.planes):
         own = [i for i, sight in enumerate(sights) if sight.plane == plane]
         modes = modes_over([sights[i].points(fit.layout) for i in own], flat.normal, _MARGIN)
-        found.append(Surface(tuple(sights[i] for i in own), tuple(variances[i] for i in own), tuple(modes), 1.0))
+        found.append(PlaneRelief(tuple(sights[i] for i in own), tuple(variances[i] for i in own), tuple(modes), 1.0))
         for i, each in zip(own, modes, strict=True):
             by_height = sights[i].predict(fit.layout)[1][:, :, -1]
             heights = np.sum(by_height * fit.residuals[i], axis=1) / np.sum(by_height**2, axis=1)
@@ -123,7 +123,7 @@ def surfaces_of(sights: Sequence[Sight], fit: Fit[Network], variances: Sequence[
 
 
 def likeliest_steepness(
-    surfaces: Sequence[Surface], solved: Sequence[Heights], fit: Fit[Network], free: Bools
+    surfaces: Sequence[PlaneRelief], solved: Sequence[Heights], fit: Fit[Network], free: Bools
 ) -> tuple[list[float], float]:
     """Of each; and how many amplitudes the cells tell of all of them."""
     covariance = covariance_of(fit.information, free)

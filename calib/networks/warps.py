@@ -19,7 +19,7 @@ from calib.networks.doubts import strains
 from calib.networks.growth import ROUGH, Grown
 from calib.networks.network import PER_WARP, WARP, Network
 from calib.networks.prior import WARP_SIGMA
-from calib.networks.sights import Sight
+from calib.networks.sights import PlaneObservation
 from calib.networks.weights import Weights
 from calib.numerics import Bools, Floats, Ints
 from calib.refinement import PER_DEVICE, alternative
@@ -48,7 +48,7 @@ class SameLens:
         return float(off @ off), slope @ off, slope @ slope.T
 
 
-def likeliest_move(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tuple[float, str]:
+def likeliest_move(grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network]) -> tuple[float, str]:
     """The cost, under the scatter of matches, if one camera was moved for one of its captures, and which; of the
     likeliest. Infinite if none has two.
     """
@@ -109,7 +109,7 @@ class Warps:
         return bool(self.alone or self.several or self.moved)
 
 
-def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tuple[Warps, Fit[Network], Weights]:
+def find_warps(grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network]) -> tuple[Warps, Fit[Network], Weights]:
     """From a fit under the scatter of matches; also one without a warp, and the weights that it was made with."""
     free, devices = grown.free(fit.layout), range(len(grown.names))
     every, weights = _freed(fit.layout, free, devices), Weights.of_noise(sights)
@@ -139,7 +139,7 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
     return Warps(likely), none, weights
 
 
-def weighed(sights: Sequence[Sight], fit: Fit[Network], free: Bools, names: Sequence[str]) -> tuple[Warps, Floats]:
+def weighed(sights: Sequence[PlaneObservation], fit: Fit[Network], free: Bools, names: Sequence[str]) -> tuple[Warps, Floats]:
     """Warps of one parameter of one picture, by their evidence: those that are certain, and what all of them that the
     captures do not exclude add to the covariance (size, size).
     """
@@ -166,7 +166,7 @@ def weighed(sights: Sequence[Sight], fit: Fit[Network], free: Bools, names: Sequ
     return Warps(tuple(likely.values())), covariance
 
 
-def or_moved(warps: Warps, grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> Warps:
+def or_moved(warps: Warps, grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network]) -> Warps:
     """In place of warps that were found, a camera that was moved between its captures, if that explains more than all
     pictures' warps together.
     """
@@ -178,7 +178,7 @@ def or_moved(warps: Warps, grown: Grown, sights: Sequence[Sight], fit: Fit[Netwo
     return Warps(moved=name) if moved < rival.cost else warps
 
 
-def _strained(sights: Sequence[Sight], fit: Fit[Network]) -> bool:
+def _strained(sights: Sequence[PlaneObservation], fit: Fit[Network]) -> bool:
     return any(strain.across_px > _STRAINED * strain.noise_px for strain in strains(sights, fit).values())
 
 

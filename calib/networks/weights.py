@@ -8,11 +8,11 @@ import numpy as np
 from calib.networks.growth import Grown
 from calib.networks.network import Network
 from calib.networks.shared_points import SharedPoints
-from calib.networks.sights import Sight
-from calib.networks.surfaces import Surface, likeliest_steepness, surfaces_of
+from calib.networks.sights import PlaneObservation
+from calib.networks.surfaces import PlaneRelief, likeliest_steepness, surfaces_of
 from calib.numerics import Bools, Floats
 from calib.rooms.likelihood import Fit, Joint, minimise
-from calib.rooms.noise import UNKNOWN, Levels, measured, of_station
+from calib.rooms.noise import UNKNOWN, NoiseLevels, measured, of_station
 
 _BENT = 4.0  # times the variance of noise
 _START = 3.0  # sigmas of the scatter of matches
@@ -26,17 +26,17 @@ class Weights:
 
     variances: Sequence[Floats]
     joints: Sequence[Joint[Network]] = ()
-    surfaces: Sequence[Surface] = ()
+    surfaces: Sequence[PlaneRelief] = ()
     rough: bool = False
 
     @classmethod
-    def of_noise(cls, sights: Sequence[Sight]) -> "Weights":
+    def of_noise(cls, sights: Sequence[PlaneObservation]) -> "Weights":
         """By the scatter of matches alone."""
         return cls([sight.cells.sigma_px**2 for sight in sights], rough=True)
 
     def measured_anew(
-        self, grown: Grown, sights: Sequence[Sight], fit: Fit[Network], free: Bools
-    ) -> tuple[Levels, "Weights"]:
+        self, grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network], free: Bools
+    ) -> tuple[NoiseLevels, "Weights"]:
         """By the residuals of a fit that these weights led to."""
         joints = grown.joints(fit.layout)
         if not self.surfaces:
@@ -52,8 +52,8 @@ class Weights:
         return self._of_surfaces(grown, sights, fit, free, joints)
 
     def _of_surfaces(
-        self, grown: Grown, sights: Sequence[Sight], fit: Fit[Network], free: Bools, joints: Sequence[SharedPoints]
-    ) -> tuple[Levels, "Weights"]:
+        self, grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network], free: Bools, joints: Sequence[SharedPoints]
+    ) -> tuple[NoiseLevels, "Weights"]:
         """By what the heights of planes leave of the residuals; with the likeliest steepness of these."""
         solved = [surface.solved(fit.layout) for surface in self.surfaces]
         steepness, determined = likeliest_steepness(self.surfaces, solved, fit, free)
@@ -68,7 +68,7 @@ class Weights:
             own = [(sight.cells, residual) for sight, residual in remaining if sight.capture == capture]
             sighted, residuals = [cells for cells, _ in own], [residual for _, residual in own]
             stations.append(of_station(sighted, residuals, absorbed)[0] if own else UNKNOWN)
-        levels = Levels(tuple(stations), np.ones(len(fit.layout.planes)), 1.0)
+        levels = NoiseLevels(tuple(stations), np.ones(len(fit.layout.planes)), 1.0)
         surfaces = [
             replace(surface, steepness=steep, variances=tuple(levels.variances(surface.sights)))
             for surface, steep in zip(self.surfaces, steepness, strict=True)
@@ -76,7 +76,7 @@ class Weights:
         return levels, Weights(levels.variances(sights), joints, surfaces)
 
     def fitted(
-        self, grown: Grown, sights: Sequence[Sight], network: Network, free: Bools, tolerance: float
+        self, grown: Grown, sights: Sequence[PlaneObservation], network: Network, free: Bools, tolerance: float
     ) -> Fit[Network]:
         """The most likely network near one."""
         prior = grown.knowledge.prior(grown.names)

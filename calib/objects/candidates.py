@@ -13,7 +13,7 @@ from calib.numerics import Floats
 from calib.objects.joint import WIDE, settled
 from calib.objects.patch_overlap import mark_pairs
 from calib.objects.pose_search import THOROUGHLY, are_about_the_same, searched_poses
-from calib.objects.view import View
+from calib.objects.view import ObjectView
 from calib.rooms.marked_poses import rigid
 
 _SEARCHED = 8
@@ -23,7 +23,7 @@ _SEEDS, _VOTERS, _KEPT = 30, 12, 6
 _FEWEST = 3
 
 
-def suggested_poses(first: View, second: View, *, thorough: bool = False) -> list[Pose]:
+def suggested_poses(first: ObjectView, second: ObjectView, *, thorough: bool = False) -> list[Pose]:
     """X_first = R X_second + t, within a grain or so; and that hardly anything moved.
 
     `thorough`: all that a longer search finds, some hundreds, instead of those that meet most.

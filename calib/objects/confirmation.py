@@ -10,7 +10,7 @@ from calib.geometry import Pose
 from calib.numerics import Bools
 from calib.objects.joint import NARROW
 from calib.objects.patch_overlap import THROUGH_FREE_SPACE, overlapping_pixels_of_points
-from calib.objects.view import View, without_small_pieces
+from calib.objects.view import ObjectView, without_small_pieces
 
 _FEWEST = 4  # number of views from which a point must be seen by another view as well
 
@@ -25,7 +25,7 @@ class Confirmation:
     apart: NDArray[np.float32]
 
 
-def confirmed(views: Sequence[View], places: Sequence[Pose]) -> list[Confirmation]:
+def confirmed(views: Sequence[ObjectView], places: Sequence[Pose]) -> list[Confirmation]:
     """For each view; `places`: X_common = R X_view + t."""
     found = []
     for k, (view, place) in enumerate(zip(views, places, strict=True)):

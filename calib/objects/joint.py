@@ -16,7 +16,7 @@ import numpy as np
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Floats, Ints, huber_weights, robust_sigma
 from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
-from calib.objects.view import PARTS, STEEPEST, View
+from calib.objects.view import PARTS, STEEPEST, ObjectView
 from calib.refinement import ROBUST_SIGMAS
 from calib.rooms.alignment import coupled
 
@@ -30,7 +30,7 @@ _CONVERGED = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
+class PairResiduals:
     """Of the views `first` < `second`: distances `off` (N,) along normals or axes, their `sigma` (N,).
 
     `by_first` (N, 6): derivatives by a twist of the first view about the frame's origin; those of the second are its
@@ -69,12 +69,12 @@ class JointEstimate:
     residual: Mapping[tuple[int, int], float]
 
 
-def estimate_jointly(views: Sequence[View], places: Sequence[Pose]) -> JointEstimate:
+def estimate_jointly(views: Sequence[ObjectView], places: Sequence[Pose]) -> JointEstimate:
     """From a start that is off by some grains at most."""
     first = places[0].inverse()
     now = [first @ place for place in places]
     pairs = list(combinations(range(len(views)), 2))
-    found: list[Residuals] = []
+    found: list[PairResiduals] = []
     for grains in _ROUNDS:
         for _ in range(_STEPS):
             found = _together(views, now, pairs, grains)
@@ -96,7 +96,7 @@ def estimate_jointly(views: Sequence[View], places: Sequence[Pose]) -> JointEsti
     )
 
 
-def settled(first: View, second: View, pose: Pose, grains: Sequence[float], count: int) -> Pose:
+def settled(first: ObjectView, second: ObjectView, pose: Pose, grains: Sequence[float], count: int) -> Pose:
     """One pair alone, by some of the patches."""
     places = [IDENTITY, pose]
     for each in grains:
@@ -109,8 +109,8 @@ def settled(first: View, second: View, pose: Pose, grains: Sequence[float], coun
 
 
 def residuals_of(
-    first: View, second: View, names: tuple[int, int], places: Sequence[Pose], within: float, count: int | None = None
-) -> Residuals | None:
+    first: ObjectView, second: ObjectView, names: tuple[int, int], places: Sequence[Pose], within: float, count: int | None = None
+) -> PairResiduals | None:
     """Of one pair of views, `names` in `places`; None where too little meets."""
     here, there = places[names[0]], places[names[1]]
     pose = here.inverse() @ there
@@ -134,16 +134,16 @@ def residuals_of(
     sigma = sigma * max(1.0, robust_sigma(off / sigma))
     by_first = np.hstack([np.cross((points + others) / 2, mean), mean])
     part = np.stack([first.parts(first.pixels(on_first)), second.parts(second.pixels(on_second))], axis=1)
-    surface = Residuals(*names, off, sigma, by_first, part, len(off))
+    surface = PairResiduals(*names, off, sigma, by_first, part, len(off))
     return _with_marks(surface, first, second, here, there)
 
 
-def _carried(view: View, place: Pose, flat: Ints) -> tuple[Floats, Floats]:
+def _carried(view: ObjectView, place: Pose, flat: Ints) -> tuple[Floats, Floats]:
     points, normals = (values.reshape(-1, 3)[flat].astype(np.float64) for values in (view.points, view.normals))
     return place @ points, place.rotate(normals)
 
 
-def _with_marks(surface: Residuals, first: View, second: View, here: Pose, there: Pose) -> Residuals:
+def _with_marks(surface: PairResiduals, first: ObjectView, second: ObjectView, here: Pose, there: Pose) -> PairResiduals:
     """The residuals with those of the marks, which also act along the surface."""
     own, other = mark_pairs(first, second)
     points = here @ first.marks.points[own]
@@ -159,7 +159,7 @@ def _with_marks(surface: Residuals, first: View, second: View, here: Pose, there
     part = np.stack(
         [first.parts(first.marks.pixels[own][near]), second.parts(second.marks.pixels[other][near])], axis=1
     )
-    return Residuals(
+    return PairResiduals(
         surface.first,
         surface.second,
         np.concatenate([surface.off, off.ravel()]),
@@ -171,19 +171,19 @@ def _with_marks(surface: Residuals, first: View, second: View, here: Pose, there
 
 
 def _together(
-    views: Sequence[View], places: Sequence[Pose], pairs: Sequence[tuple[int, int]], grains: float
-) -> list[Residuals]:
+    views: Sequence[ObjectView], places: Sequence[Pose], pairs: Sequence[tuple[int, int]], grains: float
+) -> list[PairResiduals]:
     found = (residuals_of(views[i], views[j], (i, j), places, grains * views[0].grain) for i, j in pairs)
     return [each for each in found if each is not None]
 
 
-def _normal(found: Sequence[Residuals], count: int) -> tuple[Floats, Floats]:
+def _normal(found: Sequence[PairResiduals], count: int) -> tuple[Floats, Floats]:
     """Matrix (6 n, 6 n) and gradient (6 n,) of all places' twists about the origin."""
     weighted = [(each, each.by_first * each.weight[:, None]) for each in found]
     return coupled(((each.first, each.second, w.T @ each.by_first, w.T @ each.off) for each, w in weighted), count)
 
 
-def _step(found: Sequence[Residuals], count: int) -> Floats:
+def _step(found: Sequence[PairResiduals], count: int) -> Floats:
     """Twists (n, 6) about the origin; zero for the first view."""
     matrix, gradient = _normal(found, count)
     free = matrix[6:, 6:]
@@ -193,7 +193,7 @@ def _step(found: Sequence[Residuals], count: int) -> Floats:
     return np.concatenate([np.zeros((1, 6)), step.reshape(-1, 6)])
 
 
-def _covariance(found: Sequence[Residuals], count: int, middle: Floats) -> tuple[Floats, Floats]:
+def _covariance(found: Sequence[PairResiduals], count: int, middle: Floats) -> tuple[Floats, Floats]:
     """And the information, about the middle: its shifts are known far better than those of the camera's centre."""
     turned = np.kron(np.eye(count), Pose(np.eye(3), -middle).adjoint)
     matrix, _ = _normal(found, count)
@@ -206,7 +206,7 @@ def _covariance(found: Sequence[Residuals], count: int, middle: Floats) -> tuple
     return turned @ (bread @ filling @ bread) @ turned.T, back.T @ matrix @ back
 
 
-def _filling(found: Sequence[Residuals], count: int) -> Floats:
+def _filling(found: Sequence[PairResiduals], count: int) -> Floats:
     """Scatter (6 n, 6 n) of the gradient, summed over parts of pictures.
 
     A part's sum holds its own error once for each pair k that it is in, and those of k other parts once: of its square

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import Pose
 from calib.numerics import Floats, Ints, compiled
-from calib.objects.view import View
+from calib.objects.view import ObjectView
 from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
 
@@ -17,7 +17,7 @@ _SIGMAS, _BENT = 4.0, 0.12  # the second in grains
 _FREE = 1.5  # grains: closer than this in front of a surface, the other camera would have seen it
 
 
-def overlapping_pixels(patches_of: View, seen_by: View, pose: Pose, within: float, count: int | None = None) -> Ints:
+def overlapping_pixels(patches_of: ObjectView, seen_by: ObjectView, pose: Pose, within: float, count: int | None = None) -> Ints:
     """For each patch (M,) the flat index of the pixel of `seen_by` whose surface it lies on, or the reason why there is
     none.
 
@@ -28,7 +28,7 @@ def overlapping_pixels(patches_of: View, seen_by: View, pose: Pose, within: floa
     )
 
 
-def overlapping_pixels_of_points(points: Floats, normals: Floats, seen_by: View, pose: Pose, within: float) -> Ints:
+def overlapping_pixels_of_points(points: Floats, normals: Floats, seen_by: ObjectView, pose: Pose, within: float) -> Ints:
     """The same for any points with normals, (N, 3) each."""
     found = np.empty(len(points), np.int64)
     _overlap(
@@ -92,7 +92,7 @@ def _overlap(
 
 
 @dataclass(frozen=True)
-class Evidence:
+class OverlapEvidence:
     """Counts over the patches of both views: `agreeing`, `against` (violating free space, or off the surface), and
     matching `marks` of the pictures that coincide.
     """
@@ -116,26 +116,26 @@ _PER_AGAINST, _PER_MARK, _BY_CHANCE = 3.0, 25.0, 4
 _MARK_GRAINS = 1.0
 
 
-def tolerance(first: View, second: View) -> float:
+def tolerance(first: ObjectView, second: ObjectView) -> float:
     """Largest distance of coinciding surfaces: noise, and a small calibration error."""
     one, other = (float(np.median(view.sigma(view.patches))) for view in (first, second))
     return _SIGMAS * float(np.hypot(one, other)) + _BENT * first.grain
 
 
-def evidence(first: View, second: View, pose: Pose, within: float, count: int | None = None) -> Evidence:
+def evidence(first: ObjectView, second: ObjectView, pose: Pose, within: float, count: int | None = None) -> OverlapEvidence:
     """For X_first = R X_second + t."""
     there = overlapping_pixels(second, first, pose, within, count)
     here = overlapping_pixels(first, second, pose.inverse(), within, count)
     both = np.concatenate([there, here])
     own, other = mark_pairs(first, second)
     apart = np.linalg.norm(pose @ second.marks.points[other] - first.marks.points[own], axis=1)
-    return Evidence(
+    return OverlapEvidence(
         int(np.count_nonzero(both >= 0)),
         int(np.count_nonzero((both == THROUGH_FREE_SPACE) | (both == OFF_SURFACE))),
         int(np.count_nonzero(apart < _MARK_GRAINS * first.grain)),
     )
 
 
-def mark_pairs(first: View, second: View) -> tuple[Ints, Ints]:
+def mark_pairs(first: ObjectView, second: ObjectView) -> tuple[Ints, Ints]:
     """Matching marks, (M,) of either view."""
     return alike(first.marks, second.marks)

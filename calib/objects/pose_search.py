@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Pose, rotation_about
 from calib.numerics import Bools, Floats, compiled, distinct
-from calib.objects.view import View
+from calib.objects.view import ObjectView
 from calib.rooms.projection import pixel_under, rotated
 
 _TURNS = 1200  # rotations; any rotation is about 17° from the nearest one
@@ -31,7 +31,7 @@ _BEHIND = 20.0  # grains
 _PHI, _PSI = 2**0.5, 1.533751168755204288118041
 
 
-def searched_poses(first: View, second: View, most: int, followed: int = _DISTINCT) -> list[Pose]:
+def searched_poses(first: ObjectView, second: ObjectView, most: int, followed: int = _DISTINCT) -> list[Pose]:
     """X_first = R X_second + t, no two about the same; the `most` that meet most, the best first.
 
     `followed`: how many distinct poses of the wide descents descend closely. Where views share little, wrong poses meet
@@ -43,7 +43,7 @@ def searched_poses(first: View, second: View, most: int, followed: int = _DISTIN
     return _distinct(_descended(first, second, Pose.stack(wide), _CLOSELY, _CLOSE), first.grain, most)
 
 
-def _descended(first: View, second: View, starts: Pose, patches: int, rounds: Floats) -> Pose:
+def _descended(first: ObjectView, second: ObjectView, starts: Pose, patches: int, rounds: Floats) -> Pose:
     """The poses (K,) after the descents, best first."""
     poses, worth = Pose(starts.rotation.copy(), starts.translation.copy()), np.zeros(len(starts.translation))
     _descend(
@@ -81,7 +81,7 @@ def even_turns(count: int) -> Floats:
     return Rotation.from_quat(np.stack(quaternions, axis=1)).as_matrix()
 
 
-def normal_centre(view: View) -> Floats:
+def normal_centre(view: ObjectView) -> Floats:
     """The point (3,) that the lines along all patches' normals come closest to: the middle, if the thing is round."""
     across = np.eye(3) - view.patch_normals[:, :, None] * view.patch_normals[:, None]
     middle = view.patch_points.mean(axis=0)

@@ -16,9 +16,9 @@ import numpy as np
 from calib.geometry import IDENTITY, Pose
 from calib.objects.candidates import suggested_poses
 from calib.objects.joint import NARROW, settled
-from calib.objects.patch_overlap import Evidence, evidence, tolerance
+from calib.objects.patch_overlap import OverlapEvidence, evidence, tolerance
 from calib.objects.pose_search import are_about_the_same
-from calib.objects.view import PATCHES, View
+from calib.objects.view import PATCHES, ObjectView
 
 _SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
@@ -37,7 +37,7 @@ class Suggestion:
 
 
 @dataclass(frozen=True, eq=False)
-class Alternative:
+class AlternativePose:
     """Another pose of a view that is almost as good: its rotation relative to the first one, and its evidence per
     patch.
     """
@@ -49,7 +49,7 @@ class Alternative:
 
 @dataclass(frozen=True)
 class _Judgement:
-    """Of poses by several views: `worth` as of `Evidence`, patches that agree, and that could agree."""
+    """Of poses by several views: `worth` as of `OverlapEvidence`, patches that agree, and that could agree."""
 
     worth: float
     agreeing: int
@@ -67,7 +67,7 @@ class _Judgement:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class UnregisteredView:
     """A view that belongs to none, and why."""
 
     view: int
@@ -80,17 +80,17 @@ class Registered:
     """`places` by view, X_common = R X_view + t, of the largest group; `alternatives` make it ambiguous."""
 
     places: Mapping[int, Pose]
-    alternatives: tuple[Alternative, ...]
-    left_out: tuple[LeftOut, ...]
+    alternatives: tuple[AlternativePose, ...]
+    left_out: tuple[UnregisteredView, ...]
 
 
-def register_views(views: Sequence[View | None]) -> Registered:
+def register_views(views: Sequence[ObjectView | None]) -> Registered:
     """Of one thing by one rig; in any order."""
     seen = {k: view for k, view in enumerate(views) if view is not None}
     edges = {(i, j): _suggested(seen[i], seen[j]) for i, j in combinations(seen, 2)}
     sure = {pair: found for pair, found in edges.items() if found}
     left_out = [
-        LeftOut(k, "nothing seen", "it shows only the static background") for k in range(len(views)) if k not in seen
+        UnregisteredView(k, "nothing seen", "it shows only the static background") for k in range(len(views)) if k not in seen
     ]
     if not sure:
         return Registered({}, (), (*left_out, *(_unplaced(k, seen, sure) for k in seen)))
@@ -105,20 +105,20 @@ def register_views(views: Sequence[View | None]) -> Registered:
     return Registered(dict(sorted(places.items())), tuple(alternatives), tuple(left_out))
 
 
-def _unplaced(k: int, views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Suggestion]]) -> LeftOut:
+def _unplaced(k: int, views: Mapping[int, ObjectView], edges: Mapping[tuple[int, int], Sequence[Suggestion]]) -> UnregisteredView:
     pixels = int(np.count_nonzero(np.isfinite(views[k].points[..., 2])))
     if pixels < PATCHES:
-        return LeftOut(k, "too small", f"only {pixels} of its pixels measure the thing")
+        return UnregisteredView(k, "too small", f"only {pixels} of its pixels measure the thing")
     if any(k in pair for pair in edges):
-        return LeftOut(k, "does not fit", "wherever it fits one station, others see through or past its surface")
-    return LeftOut(k, "no overlap", "its surface fits that of no other station")
+        return UnregisteredView(k, "does not fit", "wherever it fits one station, others see through or past its surface")
+    return UnregisteredView(k, "no overlap", "its surface fits that of no other station")
 
 
 def _largest_group(
-    views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
-) -> tuple[dict[int, Pose], list[Alternative]]:
+    views: Mapping[int, ObjectView], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
+) -> tuple[dict[int, Pose], list[AlternativePose]]:
     """Places of the largest group of views that judge each other, and what makes them ambiguous."""
-    largest: tuple[dict[int, Pose], list[Alternative]] = {}, []
+    largest: tuple[dict[int, Pose], list[AlternativePose]] = {}, []
     left = dict(views)
     while between := {pair: found for pair, found in edges.items() if left.keys() >= {*pair}}:
         found = _grown(left, between)
@@ -130,8 +130,8 @@ def _largest_group(
 
 
 def _grown(
-    views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
-) -> tuple[dict[int, Pose], list[Alternative]]:
+    views: Mapping[int, ObjectView], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
+) -> tuple[dict[int, Pose], list[AlternativePose]]:
     """Grow a group from the most certain pair, by all views that its members can judge."""
     first, _ = max(edges, key=lambda pair: edges[pair][0].worth)
     places = {first: IDENTITY}
@@ -147,11 +147,11 @@ def _grown(
 
 
 def _alternatives(
-    views: Mapping[int, View],
+    views: Mapping[int, ObjectView],
     edges: Mapping[tuple[int, int], Sequence[Suggestion]],
     places: Mapping[int, Pose],
     k: int,
-) -> Iterator[Alternative]:
+) -> Iterator[AlternativePose]:
     """Other poses of a placed view, alone or with all that were placed after it, that little more speaks against."""
     order = list(places)
     for part in dict.fromkeys([(k,), tuple(order[order.index(k) :])]):  # of the last view they are one
@@ -164,10 +164,10 @@ def _alternatives(
             moved = _judged(views, rest, {member: step @ places[member] for member in part})
             if moved.holds and moved.rate > _AS_GOOD * own.rate:
                 turn_deg = float(np.degrees(places[k].angle_from(each.pose)))
-                yield Alternative(k, turn_deg, moved.rate)
+                yield AlternativePose(k, turn_deg, moved.rate)
 
 
-def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Suggestion]:
+def _suggested(first: ObjectView, second: ObjectView, *, thorough: bool = False) -> list[Suggestion]:
     """The places of a pair that are worth following up, best first.
 
     Of the many of a `thorough` search, the right one is not the one that meets most, but that which little speaks
@@ -189,13 +189,13 @@ def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Sug
     return sorted(found, key=lambda each: -each.worth)[:_KEPT]
 
 
-def _agreeing_share(found: Evidence) -> float:
+def _agreeing_share(found: OverlapEvidence) -> float:
     """The share of what could agree that does, if that is not just a few patches."""
     return found.share if found.agreeing > _FEWEST_AGREEING * 2 * _SOME else 0.0
 
 
 def _tried(
-    views: Mapping[int, View],
+    views: Mapping[int, ObjectView],
     edges: Mapping[tuple[int, int], Sequence[Suggestion]],
     places: Mapping[int, Pose],
     k: int,
@@ -213,7 +213,7 @@ def _tried(
     return sorted(found, key=lambda each: -each.worth)
 
 
-def _judged(views: Mapping[int, View], places: Mapping[int, Pose], part: Mapping[int, Pose]) -> _Judgement:
+def _judged(views: Mapping[int, ObjectView], places: Mapping[int, Pose], part: Mapping[int, Pose]) -> _Judgement:
     """Evidence of all members for the poses of others."""
     evidences = [
         evidence(views[member], views[k], place.inverse() @ pose, NARROW * views[k].grain, _SOME)

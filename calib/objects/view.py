@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats, Image, Ints
-from calib.rooms.marks import Marks, described, logarithmic, no_marks
-from calib.rooms.segments import relative_noise
+from calib.rooms import Marks
+from calib.rooms.marks import described, logarithmic, no_marks
+from calib.rooms import relative_noise
 from calib.rooms.surfaces import spread
 
 PATCHES = 3000  # drawn from each view; with fewer pixels than that, it is seen too small or too dark
@@ -25,7 +26,7 @@ _OF_SIZE = 1 / 60  # the grain over the size: spacing of points for features and
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class ObjectView:
     """`points`, `normals` (H, W, 3) of the thing in the camera's frame, NaN elsewhere; `depth` (H, W): how far the
     camera saw at all, the background included, 0 where nothing is known; `near` (H, W): the least around each pixel.
 
@@ -112,7 +113,7 @@ def view_of(
     camera: Intrinsics,
     resting: NDArray[np.float32] | None = None,
     picture: Image | None = None,
-) -> View | None:
+) -> ObjectView | None:
     """The view of a cloud (H, W, 3) of `calib.pointcloud`; `resting` (H, W): the depth of the background.
 
     `picture` (H, W) or (H, W, 3): of the lit scene. None if the thing is not visible.
@@ -133,7 +134,7 @@ def view_of(
     size = float(np.linalg.norm(np.ptp(own[there], axis=0)))
     marks = no_marks() if picture is None else _marks(picture, own, there)
     noise = relative_noise(own, turned)
-    return View(own, turned, depth, near, camera, patches, noise, _OF_SIZE * size, marks)
+    return ObjectView(own, turned, depth, near, camera, patches, noise, _OF_SIZE * size, marks)
 
 
 def without_small_pieces(there: Bools) -> Bools:

@@ -5,7 +5,7 @@ import numpy as np
 
 from calib.numerics import Floats, Ints
 from calib.plane_segmentation.region_growing import grow, local_planes
-from calib.plane_segmentation.surfels import Evidence, Surfels
+from calib.plane_segmentation.surfels import SurfelEquations, Surfels
 
 NO_PLANE = -1
 _SEEDS = 80
@@ -18,7 +18,7 @@ _MOST_SCATTER = 1.3
 _CLOSE = 15.0
 
 
-def find_planes(surfels: Surfels, evidence: Evidence, rng: np.random.Generator) -> tuple[Floats, Ints]:
+def find_planes(surfels: Surfels, evidence: SurfelEquations, rng: np.random.Generator) -> tuple[Floats, Ints]:
     """Return planes (n, 3), largest first, and the plane of each surfel (M,), NO_PLANE for none."""
     seeds, covariance, usable = local_planes(surfels, evidence.rows, _GATE)
     fewest = _fewest(len(surfels))
@@ -44,7 +44,7 @@ def _fewest(surfels: int) -> int:
     return max(_FEWEST_SURFELS, round(_LEAST_SHARE * surfels))
 
 
-def _assign(surfels: Surfels, evidence: Evidence, planes: Floats) -> tuple[Floats, Ints]:
+def _assign(surfels: Surfels, evidence: SurfelEquations, planes: Floats) -> tuple[Floats, Ints]:
     """Assign each surfel to its best plane; drop planes and components with too few. Returns as `find_planes`."""
     fewest, error = _fewest(len(surfels)), _errors(evidence, planes)
     while True:
@@ -65,7 +65,7 @@ def _assign(surfels: Surfels, evidence: Evidence, planes: Floats) -> tuple[Float
     return planes[order], np.where(label >= 0, rank[label], NO_PLANE).astype(np.int32)
 
 
-def without_uneven(evidence: Evidence, planes: Floats, label: Ints) -> tuple[Floats, Ints, float]:
+def without_uneven(evidence: SurfelEquations, planes: Floats, label: Ints) -> tuple[Floats, Ints, float]:
     """Drop planes whose surfels scatter over the whole tolerance: patches of a curved or bumpy surface that end where
     the surface leaves the tolerance. Also return the share of surfels on the largest dropped plane.
     """
@@ -79,7 +79,7 @@ def without_uneven(evidence: Evidence, planes: Floats, label: Ints) -> tuple[Flo
     return planes[kept], renumbered[label], max(dropped, default=0.0)
 
 
-def covariances(evidence: Evidence, label: Ints, planes: int) -> Floats:
+def covariances(evidence: SurfelEquations, label: Ints, planes: int) -> Floats:
     """Return the covariance of each plane (n, 3, 3) from the surfels on it."""
     information = np.zeros((planes, 3, 3))
     for plane in range(planes):
@@ -90,7 +90,7 @@ def covariances(evidence: Evidence, label: Ints, planes: int) -> Floats:
     return np.linalg.inv(information + ridge)
 
 
-def spill(evidence: Evidence, planes: Floats, label: Ints) -> float:
+def spill(evidence: SurfelEquations, planes: Floats, label: Ints) -> float:
     """Return the number of surfels close to but not on the three largest planes, relative to those on them.
 
     Nearly zero for planes; more than half if the tolerance cuts uneven surfaces into slices; infinite without planes.
@@ -103,7 +103,7 @@ def spill(evidence: Evidence, planes: Floats, label: Ints) -> float:
     return close / max(1, int(np.count_nonzero(np.isin(label, largest))))
 
 
-def _errors(evidence: Evidence, planes: Floats) -> Floats:
+def _errors(evidence: SurfelEquations, planes: Floats) -> Floats:
     """Return the squared error of each surfel for each plane (n, M), summed over its three numbers, over the gate's."""
     value, slope_x, slope_y = (evidence.off(planes, number) ** 2 for number in range(3))
     return (value + slope_x + slope_y) / _GATE_3D**2

@@ -146,7 +146,7 @@ def _sort(cell: Ints, place: Ints, order: Ints) -> None:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class SurfelEquations:
     """Linear equations of each surfel for the plane v (3,) it lies on, in units of their standard deviations.
 
     `rows` (12, M): three equations, each a right-hand side followed by the three coefficients of v: first for the
@@ -169,7 +169,7 @@ class Evidence:
         return off
 
 
-def gather_evidence(surfels: Surfels, view: TwoView, model_px: float) -> Evidence:
+def gather_evidence(surfels: Surfels, view: TwoView, model_px: float) -> SurfelEquations:
     """Gather the equations; `model_px`: standard deviation of errors of the lens model and the decoder."""
     step = surfels.grid.side_px / 2
     here = view.parallax(surfels.camera_px, surfels.projector_px)
@@ -190,4 +190,4 @@ def gather_evidence(surfels: Surfels, view: TwoView, model_px: float) -> Evidenc
         slope = rows[4 + 4 * axis : 8 + 4 * axis]
         slope[0], slope[1:] = ahead.value - behind.value, (ahead.x - behind.x).T
         slope /= 2 * step * here.per_px * slope_sigma
-    return Evidence(rows, sigma, here.across_px / sigma)
+    return SurfelEquations(rows, sigma, here.across_px / sigma)

@@ -1,7 +1,7 @@
 """Point clouds, organised on the camera's pixel grid or unordered: surfaces, planes, spheres, registration."""
 
 from calib.pointcloud.corner_registration import Order, find_order
-from calib.pointcloud.corner_view import View, cells_of
+from calib.pointcloud.corner_view import CornerView, cells_of
 from calib.pointcloud.image_mesh import SeenPoints, image_triangles
 from calib.pointcloud.merged_cloud import MergedCloud, merged
 from calib.pointcloud.normals import surface

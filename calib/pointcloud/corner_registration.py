@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from calib.numerics import Bools, Floats, Ints
-from calib.pointcloud.corner_view import View, cells_of
+from calib.pointcloud.corner_view import CornerView, cells_of
 
 _TURNS = (0, 1, 2)
 # Shares of the distance: size of a patch of points, and the largest difference of equal depths.
@@ -67,7 +67,7 @@ class _Seen:
     confirmed_off_walls: int
 
 
-def find_order(views: Sequence[View], angles_nats: float = 0.0) -> Order:
+def find_order(views: Sequence[CornerView], angles_nats: float = 0.0) -> Order:
     """The likeliest order of the axes of two or more views, with its log likelihood ratio.
 
     `angles_nats`: log likelihood ratio by which the corner's angles favour the given order.
@@ -112,19 +112,19 @@ def _cheapest(costs: Mapping[tuple[int, int, int], float], count: int) -> list[t
     return begun
 
 
-def _upright(views: Sequence[View], turns: tuple[int, ...]) -> tuple[int, ...]:
+def _upright(views: Sequence[CornerView], turns: tuple[int, ...]) -> tuple[int, ...]:
     """The same order, renumbered so that the last axis is the most upright one in the cameras' images."""
     up = np.mean([_up(view, turn) for view, turn in zip(views, turns, strict=True)], axis=0)
     shift = 2 - int(np.argmax(np.abs(up)))
     return tuple((turn + shift) % 3 for turn in turns)
 
 
-def _up(view: View, turn: int) -> Floats:
+def _up(view: CornerView, turn: int) -> Floats:
     """The camera's up in the corner's frame, (3,)."""
     return np.roll(view.axes @ np.array([0.0, -1.0, 0.0]), turn)
 
 
-def _cost_of_tilt(a: View, b: View, turn: int) -> float:
+def _cost_of_tilt(a: CornerView, b: CornerView, turn: int) -> float:
     angle = np.arccos(np.clip(_up(a, 0) @ _up(b, turn), -1, 1))
     return float(0.5 * (angle / _UPRIGHT_SIGMA) ** 2)
 
@@ -137,14 +137,14 @@ class _Patches:
     off_walls: Bools
 
 
-def _patches(view: View) -> _Patches:
+def _patches(view: CornerView) -> _Patches:
     points = view.in_corner(view.points[view.there].astype(np.float64))
     size = _PATCH * view.distance
     _, first = np.unique(cells_of(points, size), return_index=True)
     return _Patches(points[first], np.min(np.abs(points[first]), axis=1) > size)
 
 
-def _seen_by(view: View, patches: _Patches, turn: int) -> _Seen:
+def _seen_by(view: CornerView, patches: _Patches, turn: int) -> _Seen:
     """Classify patches by what the view saw there; `turn`: of the patches' corner relative to the view's."""
     points = view.in_camera(np.roll(patches.points, turn, axis=1))
     nearest, farthest, sees = view.depths_around(points)
@@ -172,7 +172,7 @@ class _Wall:
         return self.paint[rows, columns], self.known[rows, columns]
 
 
-def _pictures_of_walls(view: View, pixel: float) -> list[_Wall] | None:
+def _pictures_of_walls(view: CornerView, pixel: float) -> list[_Wall] | None:
     """The textures of the three faces; None if the brightness is unknown."""
     if view.brightness is None or not view.there.any() or pixel == 0:
         return None

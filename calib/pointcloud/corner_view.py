@@ -12,7 +12,7 @@ from calib.numerics import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
-class View:
+class CornerView:
     """One capture of a corner.
 
     `points` (H, W, 3) in the camera's frame on its pixel grid, NaN where there is none; `brightness` (H, W), or None;

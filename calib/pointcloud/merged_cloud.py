@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import Pose
 from calib.numerics import Bools, Floats, Ints, compiled, in_pieces
-from calib.pointcloud.corner_view import View
+from calib.pointcloud.corner_view import CornerView
 from calib.pointcloud.organised_cloud import Cloud
 
 _INDEX_BITS = 32
@@ -36,7 +36,7 @@ class MergedCloud:
     from_cameras: tuple[Pose, ...]
 
 
-def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...]) -> MergedCloud:
+def merged(clouds: Sequence[Cloud], views: Sequence[CornerView], turns: tuple[int, ...]) -> MergedCloud:
     """Merge clouds in the corner's frame. Of the points in a voxel the one nearest to its camera is kept.
 
     The grid's edge is the distance between neighbouring camera pixels at the captures' median distance.
@@ -65,7 +65,7 @@ def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...
     )
 
 
-def _place(cloud: Cloud, view: View, turn: int, pixel: Ints, points: Floats, distance: Floats) -> None:
+def _place(cloud: Cloud, view: CornerView, turn: int, pixel: Ints, points: Floats, distance: Floats) -> None:
     """Write the points (N, 3) of a cloud's pixels (N,) in the corner's frame, and their distances (N,)."""
     seen = cloud.points.reshape(-1, 3)
 
@@ -78,7 +78,7 @@ def _place(cloud: Cloud, view: View, turn: int, pixel: Ints, points: Floats, dis
 
 
 def _fill_attributes(
-    cloud: Cloud, view: View, turn: int, pixel: Ints, normals: NDArray[np.float32], colours: NDArray[np.uint8]
+    cloud: Cloud, view: CornerView, turn: int, pixel: Ints, normals: NDArray[np.float32], colours: NDArray[np.uint8]
 ) -> None:
     """Write the normals (N, 3), in the corner's frame, and the colours (N, 3) of a cloud's pixels (N,)."""
     seen, painted = cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)
@@ -90,7 +90,7 @@ def _fill_attributes(
     in_pieces(len(pixel), fill)
 
 
-def _pose(view: View, turn: int) -> Pose:
+def _pose(view: CornerView, turn: int) -> Pose:
     """Of a view's camera in the corner's frame."""
     moved = view.in_corner(np.vstack([np.zeros(3), np.eye(3)]), turn)
     return Pose((moved[1:] - moved[0]).T, moved[0])

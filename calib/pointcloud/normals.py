@@ -29,7 +29,7 @@ _AT_A_TIME, _STRIP_ROWS = 4096, 64
 
 
 @dataclass(frozen=True)
-class Surface:
+class SurfaceNormals:
     """`normals` (H, W, 3): of unit length and facing the camera, NaN where there is no point.
 
     `isolated` (H, W): points without neighbours on a common surface.
@@ -39,12 +39,12 @@ class Surface:
     isolated: Bools
 
 
-def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
+def surface(points: NDArray[np.float32], focal_px: float) -> SurfaceNormals:
     """Normals of points (H, W, 3) on the camera's grid, NaN where there is none; `focal_px` is the camera's."""
     planes, window = window_planes(points, focal_px, _SMALLEST_WINDOW), _SMALLEST_WINDOW
     isolated = np.zeros(planes.count.shape, dtype=np.bool_)
     if not planes.count.any():
-        return Surface(planes.normals, isolated)
+        return SurfaceNormals(planes.normals, isolated)
     noise, filled = _typical(planes)
     wider = _window_for(noise, filled)
     if wider > window:
@@ -67,17 +67,17 @@ def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
         around = np.flatnonzero(nearby.view(np.bool_))
         around = around[planes.count.ravel()[around] > 0]
         normals.reshape(-1, 3)[hard], isolated.flat[hard] = _neighbour_planes(cloud[hard], cloud[around], reach)
-    return Surface(normals, isolated)
+    return SurfaceNormals(normals, isolated)
 
 
-def scattered_surface(points: NDArray[np.float32]) -> Surface:
+def scattered_surface(points: NDArray[np.float32]) -> SurfaceNormals:
     """Normals of points (H, W, 3) too sparse for windows, from their nearest neighbours; none counts as isolated."""
     there = np.isfinite(points[..., 2])
     normals = np.full_like(points, np.nan)
     if there.any():
         scattered = points[there]
         normals[there] = _neighbour_planes(scattered, scattered, np.full(len(scattered), np.inf))[0]
-    return Surface(normals, np.zeros(there.shape, dtype=np.bool_))
+    return SurfaceNormals(normals, np.zeros(there.shape, dtype=np.bool_))
 
 
 def _typical(planes: WindowPlanes) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import Calibration, Matches, intersect_rays
 from calib.numerics import Floats, Ints, by_columns, compiled, in_pieces, in_slices, slices_of
-from calib.pointcloud.triangulation_errors import Misses, expected_misses
+from calib.pointcloud.triangulation_errors import RayGapModel, expected_misses
 
 _SAMPLE = 20_000  # the noise of so many misses is known to 0.8 %
 _STRIP_ROWS = 64
@@ -45,7 +45,7 @@ class Organised:
     behind: int
     disagreeing: int
     shared_pixel: int
-    misses: Misses
+    misses: RayGapModel
     trend_px: float
 
 
@@ -98,7 +98,7 @@ def organise(matches: Matches, calibration: Calibration) -> Organised:
     )
 
 
-def _expected_misses(matches: Matches, calibration: Calibration) -> Misses:
+def _expected_misses(matches: Matches, calibration: Calibration) -> RayGapModel:
     """The model of ray misses, from a sample of the matches."""
     step = max(1, len(matches) // _SAMPLE)
     camera_px = by_columns(matches.camera_px[::step])

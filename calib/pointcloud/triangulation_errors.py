@@ -22,7 +22,7 @@ _FINEST_MISTAKE_PX = 1.0
 
 
 @dataclass(frozen=True)
-class Misses:
+class RayGapModel:
     """The model of ray misses: a smooth trend over both images (calibration) and noise (decoder), in projector pixels.
 
     `trend` (_TREND_TERMS,): coefficients of the cubics; `noise_px`: standard deviation of the rest; `limit_px`: largest
@@ -38,7 +38,7 @@ class Misses:
         return _trend(self.trend, camera_px, foot_px, calibration)
 
 
-def expected_misses(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> Misses:
+def expected_misses(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> RayGapModel:
     """Separate the decoder's noise from the calibration's smooth error.
 
     `camera_px`, `foot_px` (N, 2) and `residual_px` (N,) of points in front of both devices, a sample from all over the
@@ -47,9 +47,9 @@ def expected_misses(camera_px: Floats, foot_px: Floats, residual_px: Floats, cal
     """
     trend = _smooth_trend(camera_px, foot_px, residual_px, calibration)
     if not len(residual_px):
-        return Misses(trend, 0.0, _FINEST_MISTAKE_PX)
+        return RayGapModel(trend, 0.0, _FINEST_MISTAKE_PX)
     noise = robust_sigma(residual_px - _trend(trend, camera_px, foot_px, calibration))
-    return Misses(trend, noise, max(_OUTLIER_SIGMAS * noise, _FINEST_MISTAKE_PX))
+    return RayGapModel(trend, noise, max(_OUTLIER_SIGMAS * noise, _FINEST_MISTAKE_PX))
 
 
 def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> Floats:

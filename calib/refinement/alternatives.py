@@ -26,7 +26,7 @@ _PROBABILITY, _SPREAD = 0.01, 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Alternative:
+class LargerModel:
     """The further parameter's `value`, less that in the smaller model, with its `sigma`. `odds` of the larger model
     over the smaller one. `response` (size,): change of the solution for a parameter of 1.
     """
@@ -44,7 +44,7 @@ class Alternative:
 
 def alternative(
     information: Floats, gradient: Floats, free: Bools, column: int, probability: float, spread: float
-) -> Alternative:
+) -> LargerModel:
     """With a `column` besides those that are `free` (size,) in the smaller model.
 
     `information` (size, size) and `gradient` (size,): half the Hessian and half the gradient of the cost at its
@@ -56,7 +56,7 @@ def alternative(
     variance = float(covariance[column, column])
     value, sigma = float(-covariance[column] @ gradient), float(np.sqrt(variance))
     odds = probability * sigma / spread * float(np.exp(min(value**2 / variance / 2, _MOST)))
-    return Alternative(value, sigma, odds, np.where(free, covariance[column] / variance, 0.0))
+    return LargerModel(value, sigma, odds, np.where(free, covariance[column] / variance, 0.0))
 
 
 @dataclass(frozen=True)

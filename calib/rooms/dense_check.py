@@ -28,7 +28,7 @@ _FAR, _FAR_SHARE, _FULL_BLOCK = 5.0, 0.06, 20  # sigmas, and share of displaced 
 
 
 @dataclass(frozen=True)
-class Disagreement:
+class SurfaceDisplacement:
     """Stations `first` and `second` with displaced surfaces. `turn_deg`, `shift`: the displacement of the second, in
     degrees and baselines (of the middle of the common view), which is `sigmas` of the estimate.
 
@@ -43,7 +43,7 @@ class Disagreement:
     apart: float
 
 
-def disagreements(matches: Sequence[Matches], estimate: RoomEstimate) -> list[Disagreement]:
+def disagreements(matches: Sequence[Matches], estimate: RoomEstimate) -> list[SurfaceDisplacement]:
     """Of all pairs that share a surface; `matches`: all of each station's."""
     match_px = [noise.match_px for noise in estimate.levels.stations]
     contacts = find_contacts(matches, estimate.room, match_px, _RADIUS * estimate.reach, SMOOTH)
@@ -51,7 +51,7 @@ def disagreements(matches: Sequence[Matches], estimate: RoomEstimate) -> list[Di
     return [each for each in found if each.sigmas > 1 or each.apart > _FAR_SHARE]
 
 
-def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, float]) -> Disagreement:
+def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, float]) -> SurfaceDisplacement:
     distances, by_room, by_pixels = contact.distances(estimate.room)
     noise = contact.noise_px(match_px)
     alone: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
@@ -78,7 +78,7 @@ def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, f
     at = contact.columns(estimate.room)
     covariance = allowed @ estimate.covariance[np.ix_(at, at)] @ allowed.T + weighted @ by_twist
     squared_sigmas = float(pull @ np.linalg.pinv(covariance, hermitian=True) @ pull)
-    return Disagreement(
+    return SurfaceDisplacement(
         contact.first,
         contact.second,
         float(np.degrees(np.linalg.norm(twist[_TURNING]))),

@@ -16,10 +16,10 @@ from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, 
 from calib.rooms.contacts import Contact, find_contacts
 from calib.rooms.flatness import covariance_of_waves
 from calib.rooms.likelihood import Fit, minimise
-from calib.rooms.noise import Levels, measured, rough_levels
+from calib.rooms.noise import NoiseLevels, measured, rough_levels
 from calib.rooms.patches import Patch, patches_of
 from calib.rooms.planes import RoomPlane
-from calib.rooms.point_tracking import Sight, find_tracks
+from calib.rooms.point_tracking import LabelledPicture, find_tracks
 from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
 from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
@@ -63,7 +63,7 @@ class RoomEstimate:
 
     fit: Fit[Room]
     covariance: Floats
-    levels: Levels
+    levels: NoiseLevels
     patches: tuple[Patch, ...]
     residual_px: Floats
     undetermined: tuple[Undetermined, ...]
@@ -108,7 +108,7 @@ def estimate_room(
     shifts: Sequence[Shifts] = (),
     place_sigma: tuple[float, float] | None = None,
     loose: Sequence[Matches] = (),
-    sights: Sequence[Sight | None] = (),
+    sights: Sequence[LabelledPicture | None] = (),
 ) -> RoomEstimate:
     """Estimate from a start: the calibrated rig, `places` of stations and `planes` as registered, in baselines.
 

@@ -13,14 +13,14 @@ import numpy as np
 from calib.geometry import tangent_basis
 from calib.numerics import CUBIC, Bools, Floats, Ints, orthonormal_polynomials
 from calib.rooms.likelihood import AnyLayout, Fit, Part
-from calib.rooms.noise import Levels
+from calib.rooms.noise import NoiseLevels
 
 _ORDERS = 6  # half-waves along either side of the visible part of a plane
 _LEAST_LEFT = 1e-3  # share of the waves left by the fit; with less, residuals do not determine their heights
 
 
 def covariance_of_waves(
-    patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], variances: Sequence[Floats], free: Bools, levels: Levels
+    patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], variances: Sequence[Floats], free: Bools, levels: NoiseLevels
 ) -> tuple[Floats, Floats]:
     """The covariance (size, size) that the waves of planes which are not flat give the room.
 

@@ -18,7 +18,7 @@ _LOUD = 10.0  # sigmas; a cell with a larger residual does not affect the smooth
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
+class NoiseLevels:
     """`stations`: the noise of each. `planes` (P,): factor on the variances on a plane that is bent or a mixture of
     planes; 1 for a flat one.
 
@@ -54,7 +54,7 @@ def measured(
     repeats: Sequence[int],
     *,
     one_rig: bool = True,
-) -> Levels:
+) -> NoiseLevels:
     """Noise levels from a fit under some variances of the cells. `repeats`: number of stations at the place of each.
     `one_rig`: whether all captures are of the same two devices.
 
@@ -72,7 +72,7 @@ def measured(
         stations.append(replace(noise, repeats=times))
     others = len({patch.capture for patch in patches}) - 1 if one_rig else 0
     alike = 1 + (_coherence(patches, fit, stations) * others if others else 0.0)
-    flat = Levels(tuple(stations), np.ones(len(fit.layout.planes)), alike)
+    flat = NoiseLevels(tuple(stations), np.ones(len(fit.layout.planes)), alike)
     of_stations = np.array([stations[patch.capture].inflation for patch in patches])
     by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.layout)
     scores, freedom = plane_scores(patches, fit, variances, free, flat.variances(patches))

@@ -36,19 +36,19 @@ _LEAST_SIGMA_PX = 0.1  # camera pixels: smallest stated sigma of a point
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class LabelledPicture:
     """A station's picture (H, W), of logarithms, and the plane's label of each of its pixels (H, W), −1 for none."""
 
     light: NDArray[np.uint8]
     labels: NDArray[np.int32]
 
     @classmethod
-    def of(cls, picture: Image, labels: NDArray[np.int32]) -> "Sight":
+    def of(cls, picture: Image, labels: NDArray[np.int32]) -> "LabelledPicture":
         """From the picture (H, W) or (H, W, 3) of the lit scene."""
         return cls(logarithmic(picture), labels)
 
 
-def find_tracks(sights: Sequence[Sight | None], plane_of: Sequence[Sequence[int]], room: Room) -> tuple[Track, ...]:
+def find_tracks(sights: Sequence[LabelledPicture | None], plane_of: Sequence[Sequence[int]], room: Room) -> tuple[Track, ...]:
     """Between all stations with a picture, on the room's planes that `plane_of` says of each station's labels."""
     found = []
     on = [

@@ -26,7 +26,7 @@ _TOO_LITTLE = "it shares too little with the other stations to find its pose, or
 
 
 @dataclass(frozen=True, eq=False)
-class Alternative:
+class AlternativePlaces:
     """Other places of a group's stations that are not ruled out, and by how many nats they are behind."""
 
     places: tuple[Pose, ...]
@@ -47,7 +47,7 @@ class Group:
     places: tuple[Pose, ...]
     planes: tuple[RoomPlane, ...]
     plane_of: tuple[tuple[int, ...], ...]
-    alternatives: tuple[Alternative, ...]
+    alternatives: tuple[AlternativePlaces, ...]
     ahead_nats: float
 
     @property
@@ -77,7 +77,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class UnregisteredStation:
     """A station that belongs to no group, and why: what shows it, and as a sentence."""
 
     station: int
@@ -91,7 +91,7 @@ class Registration:
 
     groups: tuple[Group, ...]
     pairs: tuple[Pair, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[UnregisteredStation, ...]
 
 
 def register(stations: Sequence[StationView], of_another_rig: Mapping[int, str] | None = None) -> Registration:
@@ -100,7 +100,7 @@ def register(stations: Sequence[StationView], of_another_rig: Mapping[int, str] 
     `of_another_rig`: stations known not to belong, by number, with the reason: such a station may nearly fit another,
     and would draw it away from the others.
     """
-    reasons = {k: LeftOut(k, "another rig", why) for k, why in (of_another_rig or {}).items()}
+    reasons = {k: UnregisteredStation(k, "another rig", why) for k, why in (of_another_rig or {}).items()}
     seen = {k: view for k, view in enumerate(stations) if k not in reasons}
     surfaces = {k: surfaces_of(view) for k, view in seen.items() if np.isfinite(view.points[..., 2]).any()}
     edges = {(i, j): hypotheses(surfaces[i], surfaces[j]) for i, j in combinations(surfaces, 2)}
@@ -112,14 +112,14 @@ def register(stations: Sequence[StationView], of_another_rig: Mapping[int, str] 
             break
         best = assemblies[0]
         if best.loose:
-            reasons.update({k: LeftOut(k, "too little shared", _TOO_LITTLE) for k in best.loose})
+            reasons.update({k: UnregisteredStation(k, "too little shared", _TOO_LITTLE) for k in best.loose})
             left = [k for k in left if k not in best.loose]
             aside += sorted(best.loose)
             continue
         worst = worst_misfit(surfaces, best.places)
         if worst is not None and worst.reason:
             cause: Cause = "another shape" if worst.of_another_shape else "free space"
-            reasons[worst.station] = LeftOut(worst.station, cause, worst.reason)
+            reasons[worst.station] = UnregisteredStation(worst.station, cause, worst.reason)
             left.remove(worst.station)
             aside += [] if worst.of_another_shape else [worst.station]
             continue
@@ -139,7 +139,7 @@ def _group(surfaces: Mapping[int, Surfaces], best: Assembly, rivals: Sequence[As
     names = tuple(sorted(best.places))
     behind = [best.nats - each.nats for each in rivals]
     alternatives = [
-        Alternative(tuple(each.places[k] for k in names), nats)
+        AlternativePlaces(tuple(each.places[k] for k in names), nats)
         for each, nats in zip(rivals, behind, strict=True)
         if nats < DECIDED_NATS
     ]
@@ -179,20 +179,20 @@ def _pairs(surfaces: Mapping[int, Surfaces], group: Group) -> list[Pair]:
     return found
 
 
-def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> LeftOut:
+def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> UnregisteredStation:
     """Why a station belongs to no group."""
     best = max(
         (each for pair, some in edges.items() if k in pair for each in some), key=lambda each: each.nats, default=None
     )
     if k not in surfaces:
-        return LeftOut(k, "empty", "it has no points")
+        return UnregisteredStation(k, "empty", "it has no points")
     if best is None or best.nats < NATS_OF_POSE / 2:
-        return LeftOut(k, "nothing shared", "it shows nothing that another station shows")
+        return UnregisteredStation(k, "nothing shared", "it shows nothing that another station shows")
     if best.contradiction > _MOST_CONTRADICTION:
-        return LeftOut(
+        return UnregisteredStation(
             k,
             "free space",
             f"wherever its surfaces fit, {best.contradiction:.0%} of them are in space that others saw as free: "
             "another room, something was moved, or the rig was changed",
         )
-    return LeftOut(k, "too little shared", _TOO_LITTLE)
+    return UnregisteredStation(k, "too little shared", _TOO_LITTLE)

@@ -12,7 +12,7 @@ import numpy as np
 from calib.numerics import CUBIC, Bools, Floats, by_pixel, orthonormal_polynomials
 from calib.refinement import Shifts
 from calib.rooms.likelihood import AnyLayout, Fit, Part
-from calib.rooms.noise import Levels
+from calib.rooms.noise import NoiseLevels
 
 
 def covariance_of_shifts(
@@ -20,7 +20,7 @@ def covariance_of_shifts(
     fit: Fit[AnyLayout],
     variances: Sequence[Floats],
     free: Bools,
-    levels: Levels,
+    levels: NoiseLevels,
     shifts: Sequence[Shifts],
 ) -> Floats:
     """The covariance (size, size) of the room due to the `shifts` of each station, independent between stations.

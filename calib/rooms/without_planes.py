@@ -14,7 +14,7 @@ from calib.refusal import RefusalError
 from calib.rooms.contacts import SMOOTH, Contact, find_contacts
 from calib.rooms.estimate import NEAR, RoomEstimate, undetermined_in
 from calib.rooms.likelihood import minimise
-from calib.rooms.noise import Levels
+from calib.rooms.noise import NoiseLevels
 from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
 
@@ -44,7 +44,7 @@ def estimate_without_planes(
             )
         fit = minimise((), fit.layout, known, (), free, joints=contacts)
     covariance = covariance_of(fit.information, free)
-    levels = Levels(tuple(Noise(_MATCH_PX, 0.0, 0.0, 1.0) for _ in loose), np.zeros(0), 1.0)
+    levels = NoiseLevels(tuple(Noise(_MATCH_PX, 0.0, 0.0, 1.0) for _ in loose), np.zeros(0), 1.0)
     nothing = np.full(len(loose), np.nan)
     loosely = undetermined_in(fit.layout, covariance, reach)
     return RoomEstimate(fit, covariance, levels, (), nothing, loosely, reach, np.zeros(0), contacts)

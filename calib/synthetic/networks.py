@@ -12,7 +12,7 @@ import numpy as np
 from calib.geometry import Intrinsics, Matches, Pose
 from calib.numerics import Floats, Ints
 from calib.synthetic.captures import inside, jittered_grid, look_at
-from calib.synthetic.rooms import RoomOptions, Scene, cast, is_free, on_waves, random_box, random_walls, random_waves
+from calib.synthetic.rooms import RoomOptions, SyntheticScene, cast, is_free, on_waves, random_box, random_walls, random_waves
 
 _CORNER = (0, 2, 4)  # the floor, and the walls at x = 0 and y = 0
 _APART_M = 0.5
@@ -30,7 +30,7 @@ class SyntheticNetwork:
     captures: Mapping[tuple[str, str], Matches]
     devices: Mapping[str, Intrinsics]
     poses: Mapping[str, Pose]
-    scene: Scene
+    scene: SyntheticScene
 
     @property
     def planes(self) -> tuple[Floats, Floats]:
@@ -49,7 +49,7 @@ def random_network(
     for _ in range(_ATTEMPTS):
         solids = [random_walls(rng, options), *(random_box(rng, options) for _ in range(options.boxes))]
         waves = random_waves(rng, options) if options.wavy else np.zeros((6, 1, 5))
-        scene = Scene(solids, np.zeros((0, 4)), waves)
+        scene = SyntheticScene(solids, np.zeros((0, 4)), waves)
         devices = {
             name: _varied(rng, options.camera if i < cameras else options.projector) for i, name in enumerate(names)
         }
@@ -78,7 +78,7 @@ def _varied(rng: np.random.Generator, device: Intrinsics) -> Intrinsics:
     )
 
 
-def _poses(rng: np.random.Generator, names: list[str], scene: Scene, options: RoomOptions) -> dict[str, Pose]:
+def _poses(rng: np.random.Generator, names: list[str], scene: SyntheticScene, options: RoomOptions) -> dict[str, Pose]:
     poses: dict[str, Pose] = {}
     for name in names:
         while name not in poses:
@@ -94,7 +94,7 @@ def _poses(rng: np.random.Generator, names: list[str], scene: Scene, options: Ro
 def _seen(
     rng: np.random.Generator,
     options: RoomOptions,
-    scene: Scene,
+    scene: SyntheticScene,
     pair: tuple[Intrinsics, Intrinsics],
     camera_at: Pose,
     projector_at: Pose,

@@ -15,7 +15,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class PhotoOptions:
+class SyntheticPhotoOptions:
     """Parameters: lengths in distances of the first photo from the vertex.
 
     `count`: matches of each further photo with the first; `noise_px` of each coordinate in every photo. `shift`: the
@@ -56,13 +56,13 @@ class SyntheticPhotos:
 
 
 def random_photos(
-    rng: np.random.Generator, options: PhotoOptions | None = None, *, attempts: int = 2000, **changes: Any
+    rng: np.random.Generator, options: SyntheticPhotoOptions | None = None, *, attempts: int = 2000, **changes: Any
 ) -> SyntheticPhotos:
     """Photos of a corner from random places in its room; repeats until every wall holds its least share.
 
     Raises ValueError after `attempts`. `changes`: options by name.
     """
-    options = replace(options or PhotoOptions(), **changes)
+    options = replace(options or SyntheticPhotoOptions(), **changes)
     for _ in range(attempts):
         photos = _draw(rng, options)
         if photos is not None:
@@ -70,7 +70,7 @@ def random_photos(
     raise ValueError("no view of the corner that all photos share")
 
 
-def _draw(rng: np.random.Generator, options: PhotoOptions) -> SyntheticPhotos | None:
+def _draw(rng: np.random.Generator, options: SyntheticPhotoOptions) -> SyntheticPhotos | None:
     camera = _camera(rng, options)
     legs = random_legs(rng, options.walls_off_deg)
     eye = rng.uniform(*options.slants, 3)
@@ -95,7 +95,7 @@ def _draw(rng: np.random.Generator, options: PhotoOptions) -> SyntheticPhotos | 
     return SyntheticPhotos(tuple(pairs), Corner(corner.vertex / options.baseline, corner.legs))
 
 
-def _camera(rng: np.random.Generator, options: PhotoOptions) -> Intrinsics:
+def _camera(rng: np.random.Generator, options: SyntheticPhotoOptions) -> Intrinsics:
     focal = float(rng.uniform(*options.focal_px))
     x, y = rng.uniform(-options.shift, options.shift, 2) * options.width
     centre = ((options.width - 1) / 2 + float(x), (options.height - 1) / 2 + float(y))
@@ -104,7 +104,7 @@ def _camera(rng: np.random.Generator, options: PhotoOptions) -> Intrinsics:
 
 def _matches(
     rng: np.random.Generator,
-    options: PhotoOptions,
+    options: SyntheticPhotoOptions,
     camera: Intrinsics,
     corner: Corner,
     pose: Pose,

@@ -46,7 +46,7 @@ class RoomOptions:
     wavy: float = 0.0
 
 
-class Scene(NamedTuple):
+class SyntheticScene(NamedTuple):
     """`solids`: normals and offsets of the room, then of the boxes. `balls` (B, 4): centres and radii."""
 
     solids: list[tuple[Floats, Floats]]
@@ -83,7 +83,7 @@ def random_room(rng: np.random.Generator, options: RoomOptions | None = None, **
     rig = _random_rig(rng, options)
     for _ in range(_ATTEMPTS):
         solids = [random_walls(rng, options), *(random_box(rng, options) for _ in range(options.boxes))]
-        scene = Scene(solids, _random_balls(rng, options), random_waves(rng, options))
+        scene = SyntheticScene(solids, _random_balls(rng, options), random_waves(rng, options))
         stations = [_station(rng, options, rig, scene, k) for k in range(options.stations)]
         if all(station is not None for station in stations):
             normals, offsets = (np.concatenate(parts) for parts in zip(*solids, strict=True))
@@ -131,7 +131,7 @@ def _station(
     rng: np.random.Generator,
     options: RoomOptions,
     rig: Calibration,
-    scene: Scene,
+    scene: SyntheticScene,
     number: int,
 ) -> SyntheticStation | None:
     width, depth, _ = options.size
@@ -192,7 +192,7 @@ def _random_balls(rng: np.random.Generator, options: RoomOptions) -> Floats:
     return np.concatenate([centres, rng.uniform(0.08, 0.25, (options.balls, 1))], axis=1)
 
 
-def is_free(point: Floats, scene: Scene) -> bool:
+def is_free(point: Floats, scene: SyntheticScene) -> bool:
     """Whether a point is inside the room, and clear of boxes and balls."""
     (normals, offsets), *boxes = scene.solids
     return (
@@ -202,13 +202,13 @@ def is_free(point: Floats, scene: Scene) -> bool:
     )
 
 
-def cast(directions: Floats, origin: Floats, scene: Scene) -> tuple[Floats, Ints]:
+def cast(directions: Floats, origin: Floats, scene: SyntheticScene) -> tuple[Floats, Ints]:
     """The first hits of rays (N, 3) from `origin`: points (N, 3) and plane numbers (N,), balls after the planes."""
     length, plane = first_hits(directions, origin, scene)
     return origin + length[:, None] * directions, plane.astype(np.int32)
 
 
-def first_hits(directions: Floats, origin: Floats, scene: Scene) -> tuple[Floats, Ints]:
+def first_hits(directions: Floats, origin: Floats, scene: SyntheticScene) -> tuple[Floats, Ints]:
     """The same, as multiples (N,) of the directions."""
     (normals, offsets), *boxes = scene.solids
     length, plane = _first(directions, origin, normals, offsets, directions @ normals.T < 0)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Intrinsics, Pose
 from calib.numerics import Bools, Floats, Image
 from calib.synthetic.captures import look_at
-from calib.synthetic.rooms import Scene, box_on, first_hits
+from calib.synthetic.rooms import SyntheticScene, box_on, first_hits
 
 _UP = np.array([0.0, 0.0, 1.0])
 _POSTER_M, _PRINTED_M = 0.6, (0.23, 0.11, 0.07)
@@ -25,7 +25,7 @@ STATION_CAMERA = Intrinsics(612, 512, (450.0, 450.0), (309.0, 251.0), (-0.06, 0.
 class FurnishedRoom(NamedTuple):
     """Six walls and furniture, and the sides (3,) of the room."""
 
-    scene: Scene
+    scene: SyntheticScene
     size: Floats
 
 
@@ -90,7 +90,7 @@ def random_furnished_room(
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     on = np.concatenate([np.tile(sides / 2, (3, 1)) * (1 - np.eye(3)), np.tile(sides / 2, (3, 1)) * (1 + np.eye(3))])
     solids = [(normals, np.sum(normals * on, axis=1)), *(_piece(rng, sides) for _ in range(pieces))]
-    return FurnishedRoom(Scene(solids, np.zeros((0, 4)), np.zeros((6, 1, 5))), sides)
+    return FurnishedRoom(SyntheticScene(solids, np.zeros((0, 4)), np.zeros((6, 1, 5))), sides)
 
 
 def _piece(rng: np.random.Generator, room: Floats) -> tuple[Floats, Floats]:

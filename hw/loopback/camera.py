@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Self
 
 from hw.errors import DeviceError
-from hw.loopback.exposure import Request
+from hw.loopback.exposure import ExposureRequest
 
 # Registers of Aravis' simulated camera (arvfakecamera.h, 0.8).
 _WIDTH, _HEIGHT, _SENSOR_HEIGHT, _SENSOR_WIDTH, _OFFSET_X, _OFFSET_Y = 0x100, 0x104, 0x118, 0x11C, 0x130, 0x134
@@ -35,7 +35,7 @@ class LoopbackCamera:
         address: str,
         serial: str,
         size: tuple[int, int],
-        expose: Callable[[Request], bytes],
+        expose: Callable[[ExposureRequest], bytes],
     ) -> None:
         self._aravis, self._gobject = _libraries()
         self._address, self._serial, self._size = address, serial, size
@@ -64,7 +64,7 @@ class LoopbackCamera:
 
     def _filled(self, buffer: int, _: object, exposure_us: int, gain: int, pixel_format: int) -> None:
         region = (self._register(_OFFSET_X), self._register(_OFFSET_Y), self._register(_WIDTH), self._register(_HEIGHT))
-        data = self._expose(Request(exposure_us, gain, pixel_format, region))
+        data = self._expose(ExposureRequest(exposure_us, gain, pixel_format, region))
         # The buffer reports size 0 here, but it was allocated for width × height × bytes of a pixel.
         ctypes.memmove(self._aravis.arv_buffer_get_data(buffer, None), data, len(data))
 

@@ -21,7 +21,7 @@ _DECIBELS_PER_FACTOR_TEN = 20.0
 
 
 @dataclass(frozen=True)
-class Request:
+class ExposureRequest:
     """The camera's registers at the trigger; `region` is (x, y, width, height) in pixels."""
 
     exposure_us: float
@@ -43,7 +43,7 @@ class RoomSensor:
         self._white_exposure_us = white_exposure_us
         self._rng = np.random.default_rng()
 
-    def expose(self, request: Request) -> bytes:
+    def expose(self, request: ExposureRequest) -> bytes:
         """Expose from now on, in real time, and return the frame's bytes as the camera sends them."""
         begin_s = time.monotonic()
         exposure_s = request.exposure_us / 1e6
@@ -62,7 +62,7 @@ class RoomSensor:
         time.sleep(max(0.0, begin_s + exposure_s - time.monotonic()))
         return digits
 
-    def _digits(self, electrons: Light, noise: list[Light], request: Request) -> bytes:
+    def _digits(self, electrons: Light, noise: list[Light], request: ExposureRequest) -> bytes:
         sensor = self._amplified(16 if request.pixel_format == MONO_16 else 8, request.gain_db)
         if request.pixel_format in _MOSAICS:
             electrons = electrons * _mosaic(_MOSAICS[request.pixel_format], electrons.shape)

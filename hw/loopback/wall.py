@@ -14,7 +14,7 @@ _REFRESH_S = 1 / 60
 
 
 @dataclass(frozen=True)
-class Picture:
+class PictureChange:
     """From `since_s` on (monotonic clock) the wall changes to this light, which may still be rendering."""
 
     since_s: float
@@ -26,7 +26,7 @@ class Wall:
 
     def __init__(self, light: Future[Light], seed: int) -> None:
         self.conditions = Conditions(latency_ms=0.0)
-        self._pictures = deque([Picture(-np.inf, light)])
+        self._pictures = deque([PictureChange(-np.inf, light)])
         self._rng = np.random.default_rng(seed)
 
     def send(self, shown_s: float, light: Future[Light]) -> None:
@@ -34,7 +34,7 @@ class Wall:
         how = self.conditions
         delay_s = (how.latency_ms + how.jitter_ms * self._rng.random()) / 1e3
         delay_s += _REFRESH_S * (self._rng.random() < how.missed_refreshes)
-        self._pictures.append(Picture(max(shown_s + delay_s, self._pictures[-1].since_s), light))
+        self._pictures.append(PictureChange(max(shown_s + delay_s, self._pictures[-1].since_s), light))
         while self._pictures[1].since_s < shown_s - _MEMORY_S:
             self._pictures.popleft()
 

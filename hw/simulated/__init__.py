@@ -11,7 +11,7 @@ from hw.simulated.illumination import ProjectorLight
 from hw.simulated.picture import PictureOptics, panel_homography
 from hw.simulated.placement import draw_camera_pose, look_at
 from hw.simulated.rig import Scenery, SimulatedCamera, SimulatedProjector
-from hw.simulated.room import Room, draw_room
+from hw.simulated.room import DrawnRoom, draw_room
 from hw.simulated.scene import Label, Scene
 from hw.simulated.sensor import Sensor
 from hw.simulated.shapes import Block

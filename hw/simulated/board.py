@@ -32,7 +32,7 @@ _SHARE = (0.5, 1.0)  # the board's longer side over the height of the projected 
 
 
 @dataclass(frozen=True)
-class Board:
+class SimulatedBoard:
     """A board of `columns` × `rows` squares. `rotation` (3, 3) from its axes to the world, `middle` (3,) in the world.
 
     A point at (u, v) metres from the middle is off the board's plane by `reach` (c₀ a² + c₁ ab + c₂ b²), with
@@ -118,7 +118,7 @@ class Board:
 
 def draw_board(
     settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice, scene: Scene
-) -> Board:
+) -> SimulatedBoard:
     """Draw the board in pose number `settings.pose`, completely inside both devices' views, or on the floor of a scene.
 
     Raises DeviceError if no such pose is found.
@@ -135,7 +135,7 @@ def draw_board(
     return board
 
 
-def _unplaced(settings: BoardSettings, bend: Floats) -> Board:
+def _unplaced(settings: BoardSettings, bend: Floats) -> SimulatedBoard:
     columns, rows = settings.columns, settings.rows
     printed = None
     if settings.kind == "charuco":
@@ -144,12 +144,12 @@ def _unplaced(settings: BoardSettings, bend: Floats) -> Board:
         printed = np.asarray(drawn.generateImage((_MODULES_PX * columns, _MODULES_PX * rows)), np.uint8)
     else:
         columns, rows = columns + 1, rows + 1
-    return Board(columns, rows, settings.square_m, bend, np.eye(3), np.zeros(3), printed)
+    return SimulatedBoard(columns, rows, settings.square_m, bend, np.eye(3), np.zeros(3), printed)
 
 
 def _on_floor(
     settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice, scene: Scene
-) -> Board | None:
+) -> SimulatedBoard | None:
     """Place the board on the floor where neither view of it is occluded. Views that leave a place free share that
     place.
     """
@@ -167,14 +167,14 @@ def _on_floor(
     return None
 
 
-def _unoccluded(board: Board, device: PlacedDevice, scene: Scene) -> bool:
+def _unoccluded(board: SimulatedBoard, device: PlacedDevice, scene: Scene) -> bool:
     """Whether nothing occludes any part of a board on the floor from a device."""
     around = np.stack(np.meshgrid(*(np.linspace(-half, half, 9) for half in board.half))).reshape(2, -1)
     _, surface = scene.cast(device.centre[:, None], board.points(around) - device.centre[:, None])
     return bool(np.all(scene.labels[surface] == Label.FLOOR))
 
 
-def _held_up(settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice) -> Board | None:
+def _held_up(settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice) -> SimulatedBoard | None:
     shape = np.random.default_rng([seed, _STREAM])
     sheet = _unplaced(settings, shape.normal(0.0, settings.bend, 3))
     rng = np.random.default_rng([seed, _STREAM, settings.pose])
@@ -194,7 +194,7 @@ def _held_up(settings: BoardSettings, seed: int, camera: PlacedDevice, projector
     return None
 
 
-def _fully_visible(board: Board, device: PlacedDevice) -> bool:
+def _fully_visible(board: SimulatedBoard, device: PlacedDevice) -> bool:
     """Whether a device sees all printed squares from the front."""
     reach = board.half - board.rim / 2 * board.square_m
     around = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]]) * reach[:, None]

@@ -11,10 +11,10 @@ from scipy import ndimage, sparse
 
 from calib.numerics import Bools, Floats, Ints, in_parallel
 from hw.simulated.arrays import Indices, sparse_matrix
-from hw.simulated.board import Board, with_board
+from hw.simulated.board import SimulatedBoard, with_board
 from hw.simulated.device import PlacedDevice
 from hw.simulated.illumination import SPILL_PX, ProjectorLight
-from hw.simulated.mesh import Mesh
+from hw.simulated.mesh import RadiosityMesh
 from hw.simulated.picture import PictureOptics
 from hw.simulated.shapes import Block
 from hw.simulated.texture import Texture
@@ -66,11 +66,11 @@ class FootprintCaster:
     camera: PlacedDevice
     texture: Texture
     picture: PictureOptics
-    mesh: Mesh
+    mesh: RadiosityMesh
     stand_in: Indices
     samples: int
     painted: Ints | None = None
-    board: Board | None = None
+    board: SimulatedBoard | None = None
 
     def moved(self, camera: PlacedDevice, projector: PlacedDevice, *blocks: Block) -> "FootprintCaster":
         """The same caster with moved devices and additional `blocks` in the scene, painted like a wall."""
@@ -109,7 +109,7 @@ class FootprintCaster:
             room = bare.of(slice(rows.start * width, rows.stop * width))
         return room if self.board is None else self._with_board(room, self.board, centres, within)
 
-    def _with_board(self, room: Footprints, board: Board, centres: Floats, within: Floats) -> Footprints:
+    def _with_board(self, room: Footprints, board: SimulatedBoard, centres: Floats, within: Floats) -> Footprints:
         """The same footprints with the board in front. Every pixel gets `samples` × `samples` rays."""
         per_pixel = self.samples**2
         pixels = (centres[:, :, None] + within).reshape(2, -1)

@@ -3,13 +3,13 @@
 import numpy as np
 
 from calib.numerics import Floats
-from hw.simulated.shapes import Block, Sphere
+from hw.simulated.shapes import Block, Ball
 
 # Furniture overlaps the floor, the wall or the box below by this much, so that no light passes through a gap.
 EMBEDDED_M = 0.004
 
 
-def draw_furniture(rng: np.random.Generator, sphere_radius_m: float, askew: float) -> tuple[tuple[Block, ...], Sphere]:
+def draw_furniture(rng: np.random.Generator, sphere_radius_m: float, askew: float) -> tuple[tuple[Block, ...], Ball]:
     """Three cardboard boxes with any heading, two of them stacked; a cupboard; a sphere on the floor.
 
     `askew`: the angle in radians between the cupboard and its wall.
@@ -19,16 +19,16 @@ def draw_furniture(rng: np.random.Generator, sphere_radius_m: float, askew: floa
     second = _standing(rng, rng.uniform((0.15, 0.15, 0.1), (0.35, 0.35, 0.5)), _place(rng, 0.35, 1.2))
     cupboard = _against_wall(rng, rng.uniform((0.6, 0.3, 0.7), (1.2, 0.45, 1.9)), rng.uniform(0.7, 1.4), askew)
     x, y = _place(rng, 0.3, 0.9)
-    sphere = Sphere(np.array([x, y, sphere_radius_m]), sphere_radius_m)
+    sphere = Ball(np.array([x, y, sphere_radius_m]), sphere_radius_m)
     return (large, stacked, second, cupboard), sphere
 
 
-def draw_second_sphere(rng: np.random.Generator, sphere: Sphere, length_m: float) -> Sphere:
+def draw_second_sphere(rng: np.random.Generator, sphere: Ball, length_m: float) -> Ball:
     """The second sphere of a ball bar. `length_m` is between centres; the bar is level or raised, in any direction."""
     azimuth, height = rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.8)
     level = np.sqrt(1 - height**2)
     direction = np.array([level * np.cos(azimuth), level * np.sin(azimuth), height])
-    return Sphere(sphere.centre + length_m * direction, sphere.radius)
+    return Ball(sphere.centre + length_m * direction, sphere.radius)
 
 
 def draw_corner_box(rng: np.random.Generator) -> Block:
@@ -39,7 +39,7 @@ def draw_corner_box(rng: np.random.Generator) -> Block:
     return box(size, reach + rng.uniform(0.005, 0.03, 2), heading)
 
 
-def overlap(first: Block | Sphere, second: Block | Sphere) -> bool:
+def overlap(first: Block | Ball, second: Block | Ball) -> bool:
     """Whether two solids intersect, tested at the points of a lattice in either."""
     return bool(first.contains(_lattice(second)).any() or second.contains(_lattice(first)).any())
 
@@ -76,7 +76,7 @@ def box(size: Floats, place: Floats, heading: float, floor: float = 0.0) -> Bloc
     return Block(origin, edges)
 
 
-def _lattice(solid: Block | Sphere) -> Floats:
+def _lattice(solid: Block | Ball) -> Floats:
     steps = np.linspace(0.0, 1.0, 9)
     unit = np.stack(np.meshgrid(steps, steps, steps)).reshape(3, -1)
     if isinstance(solid, Block):

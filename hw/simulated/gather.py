@@ -14,7 +14,7 @@ from scipy import sparse
 from calib.numerics import Bools, Floats, Ints, in_parallel
 from hw.simulated.arrays import Indices, Light, sparse_matrix
 from hw.simulated.illumination import ProjectorLight
-from hw.simulated.mesh import Mesh
+from hw.simulated.mesh import RadiosityMesh
 from hw.simulated.picture import PictureOptics
 from hw.simulated.texture import Texture
 
@@ -48,7 +48,7 @@ class Gatherer:
     light: ProjectorLight
     texture: Texture
     picture: PictureOptics
-    mesh: Mesh
+    mesh: RadiosityMesh
 
     def gather(self, rays: int, rng: np.random.Generator) -> Gathered:
         """The light of all nodes of the mesh, with `rays` rays per node."""

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from calib.numerics import Bools, Floats, Ints
 from hw.simulated.arrays import Indices, Light
 from hw.simulated.gather import Gathered
-from hw.simulated.mesh import Mesh
+from hw.simulated.mesh import RadiosityMesh
 from hw.simulated.scene import Scene
 
 
@@ -41,7 +41,7 @@ class Interreflection:
         return _exchanged(first, self.exchange, self.to_creases)
 
 
-def solve(scene: Scene, mesh: Mesh, gathered: Gathered) -> Interreflection:
+def solve(scene: Scene, mesh: RadiosityMesh, gathered: Gathered) -> Interreflection:
     """Factor the exchange of light between the nodes of a mesh."""
     count = mesh.solving_count
     stand_in = _nearest_exposed(scene, mesh, gathered.exposed)
@@ -60,7 +60,7 @@ def _exchanged(first: Light, exchange: tuple[Light, Ints], to_creases: sparse.cs
     return np.concatenate([solving, first[count:] + to_creases @ solving])
 
 
-def _nearest_exposed(scene: Scene, mesh: Mesh, exposed: Bools) -> Indices:
+def _nearest_exposed(scene: Scene, mesh: RadiosityMesh, exposed: Bools) -> Indices:
     """For each node the nearest exposed node of its kind (solving, crease) that faces the same way."""
     places = _places(scene, mesh)
     stand_in = np.arange(mesh.count)
@@ -72,7 +72,7 @@ def _nearest_exposed(scene: Scene, mesh: Mesh, exposed: Bools) -> Indices:
     return stand_in
 
 
-def _places(scene: Scene, mesh: Mesh) -> Floats:
+def _places(scene: Scene, mesh: RadiosityMesh) -> Floats:
     """Position and normal of each node, (nodes, 6). One metre counts as much as one radian."""
     places = []
     for chart in (*mesh.solving, *mesh.creases):

@@ -57,7 +57,7 @@ class Chart:
 
 
 @dataclass(frozen=True)
-class Mesh:
+class RadiosityMesh:
     """One solving chart per surface, in the order of the surfaces, and the crease charts."""
 
     solving: tuple[Chart, ...]
@@ -87,7 +87,7 @@ class Mesh:
         return nodes, weights
 
 
-def build_mesh(light: ProjectorLight) -> Mesh:
+def build_mesh(light: ProjectorLight) -> RadiosityMesh:
     """Nodes for a scene, closely spaced along the creases that the projector lights."""
     scene = light.scene
     solving: list[Chart] = []
@@ -99,7 +99,7 @@ def build_mesh(light: ProjectorLight) -> Mesh:
     for surface, u, v in () if scene.all_round else _crease_lines(light):
         creases.append(Chart(surface, u, v, start))
         start += creases[-1].count
-    return Mesh(tuple(solving), tuple(creases))
+    return RadiosityMesh(tuple(solving), tuple(creases))
 
 
 def _lines(scene: Scene, surface: int, size: float) -> Floats:

@@ -18,7 +18,7 @@ from hw.simulated.interreflection import Interreflection, solve
 from hw.simulated.mesh import build_mesh
 from hw.simulated.motion import rotation_homography
 from hw.simulated.picture import PictureOptics
-from hw.simulated.room import Room
+from hw.simulated.room import DrawnRoom
 from hw.simulated.shapes import Block
 from hw.simulated.texture import paint
 
@@ -110,7 +110,7 @@ def has_indirect_light(settings: SimulatedRigSettings) -> bool:
     return settings.interreflection or max(settings.ambient, settings.light.ambient or 0.0) > 0
 
 
-def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Generator) -> Renderer:
+def build_renderer(room: DrawnRoom, settings: SimulatedRigSettings, rng: np.random.Generator) -> Renderer:
     """Paint the room, solve the interreflection of its surfaces, and cast the rays of all camera pixels."""
     projector = room.projector.optics
     picture = PictureOptics(

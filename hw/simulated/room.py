@@ -13,7 +13,7 @@ from hw.simulated.device import PlacedDevice
 from hw.simulated.furniture import draw_corner_box, draw_furniture, draw_second_sphere, overlap
 from hw.simulated.placement import RigGeometry, draw_camera_pose, draw_rig, zoomed
 from hw.simulated.scene import Label, Scene
-from hw.simulated.shapes import Block, Sphere
+from hw.simulated.shapes import Block, Ball
 from hw.simulated.view import look
 from hw.simulated.whole_room import WholeRoom, draw_whole_room
 
@@ -36,7 +36,7 @@ Place = tuple[PlacedDevice, PlacedDevice]
 
 
 @dataclass(frozen=True)
-class Room:
+class DrawnRoom:
     """A scene and the two devices in it."""
 
     scene: Scene
@@ -53,7 +53,7 @@ class _Streams:
         )
 
 
-def draw_room(settings: SimulatedRigSettings) -> Room:
+def draw_room(settings: SimulatedRigSettings) -> DrawnRoom:
     """Draw rooms until the view is suitable (`View.is_suitable`).
 
     The devices have the paper's resolution. Raises DeviceError if the seed has no suitable view or too few poses.
@@ -61,10 +61,10 @@ def draw_room(settings: SimulatedRigSettings) -> Room:
     drawn = SimulatedRigSettings.model_validate({key: getattr(settings, key) for key in DRAWN_BY})
     if settings.room == "whole":
         whole = _whole_room(drawn)
-        return Room(whole.scene, *_devices(whole.stations, settings))
+        return DrawnRoom(whole.scene, *_devices(whole.stations, settings))
     scene, rig, first = _corner(drawn)
     places = _draw_poses(scene, rig, first, settings)
-    return Room(scene, *_devices(places, settings))
+    return DrawnRoom(scene, *_devices(places, settings))
 
 
 @lru_cache(_KEPT)
@@ -96,7 +96,7 @@ def _furnish(
     """The room with furniture that leaves enough of the corner visible; None if none was found."""
     for _ in range(_FURNITURE_ATTEMPTS):
         blocks: tuple[Block, ...] = ()
-        sphere: Sphere | None = None
+        sphere: Ball | None = None
         if settings.furniture:
             askew = np.radians(settings.furniture_askew_deg * streams.askew.standard_normal())
             blocks, sphere = draw_furniture(streams.furniture, settings.sphere_radius_m, askew)
@@ -112,7 +112,7 @@ def _furnish(
 
 
 def _fits(scene: Scene) -> bool:
-    solids: list[Block | Sphere] = [*scene.blocks]
+    solids: list[Block | Ball] = [*scene.blocks]
     solids += scene.spheres.values()
     stacked = (0, 1)  # the second box stands on the first
     return all(_inside(scene.room, sphere) for sphere in scene.spheres.values()) and not any(
@@ -122,7 +122,7 @@ def _fits(scene: Scene) -> bool:
     )
 
 
-def _inside(room: Block, sphere: Sphere) -> bool:
+def _inside(room: Block, sphere: Ball) -> bool:
     """Whether a sphere is inside the walls. A sphere that touches the floor is inside."""
     reach = _TOUCHING * sphere.radius * np.concatenate([np.eye(3), -np.eye(3)])
     return bool(room.contains((sphere.centre + reach).T).all())

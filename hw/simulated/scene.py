@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import Bools, Floats, Ints
-from hw.simulated.shapes import Block, Sphere
+from hw.simulated.shapes import Block, Ball
 
 # Distance of the start of a ray from its surface, over the ray's length: above rounding errors, below visible detail.
 _CLEARANCE = 1e-6
@@ -38,12 +38,12 @@ class Scene:
 
     room: Block
     blocks: tuple[Block, ...] = ()
-    sphere: Sphere | None = None
-    second_sphere: Sphere | None = None
+    sphere: Ball | None = None
+    second_sphere: Ball | None = None
     all_round: bool = False
 
     @property
-    def spheres(self) -> dict[int, Sphere]:
+    def spheres(self) -> dict[int, Ball]:
         """The spheres by their surface numbers."""
         there = (sphere for sphere in (self.sphere, self.second_sphere) if sphere is not None)
         return dict(enumerate(there, start=self.sphere_surface))
@@ -54,7 +54,7 @@ class Scene:
         return 6 + 6 * len(self.blocks)
 
     @property
-    def _solids(self) -> tuple[Block | Sphere, ...]:
+    def _solids(self) -> tuple[Block | Ball, ...]:
         """The blocks and spheres in the room."""
         return (*self.blocks, *self.spheres.values())
 

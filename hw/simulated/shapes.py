@@ -117,7 +117,7 @@ def _cross_slabs(
 
 
 @dataclass(frozen=True)
-class Sphere:
+class Ball:
     """The points within `radius` of `centre` (3,)."""
 
     centre: Floats

@@ -13,7 +13,7 @@ from hw.simulated.device import PlacedDevice
 from hw.simulated.motion import box_in, offset_px, person_in, turned
 from hw.simulated.placement import resized
 from hw.simulated.renderer import Renderer, build_renderer, has_indirect_light
-from hw.simulated.room import DRAWN_BY, Room, draw_room
+from hw.simulated.room import DRAWN_BY, DrawnRoom, draw_room
 from hw.simulated.sensor import build_sensor
 from hw.simulated.truth import GroundTruth, true_calibration, true_view
 
@@ -102,10 +102,10 @@ class SimulatedRoom:
         return true_view(self.room, self.renderer)
 
 
-def place_room(settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]) -> Room:
+def place_room(settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]) -> DrawnRoom:
     """The room of a seed with devices of given sizes, (width, height) in pixels."""
     drawn = draw_room(settings)
-    return Room(drawn.scene, _resized(drawn.camera, camera_size), _resized(drawn.projector, projector_size))
+    return DrawnRoom(drawn.scene, _resized(drawn.camera, camera_size), _resized(drawn.projector, projector_size))
 
 
 def _resized(device: PlacedDevice, size: tuple[int, int]) -> PlacedDevice:

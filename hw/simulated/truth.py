@@ -9,7 +9,7 @@ from calib.numerics import Floats, Ints
 from hw.simulated.device import Optics, PlacedDevice
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.renderer import Renderer
-from hw.simulated.room import Room
+from hw.simulated.room import DrawnRoom
 
 _RECTANGULAR = 1e-9  # rounding error of entries that are zero
 
@@ -29,7 +29,7 @@ class GroundTruth:
     direct_share: Floats
 
 
-def true_calibration(room: Room, homography: Floats | None = None) -> Calibration | None:
+def true_calibration(room: DrawnRoom, homography: Floats | None = None) -> Calibration | None:
     """The calibration of a room's rig, in metres; None if no pinhole projector gives the picture.
 
     `homography` (3, 3): from the picture's pixels to those of the projector's panel.
@@ -58,7 +58,7 @@ def _reshaped(panel: Intrinsics, homography: Floats) -> Intrinsics | None:
     return replace(panel, focal_px=(g * fx / a, g * fy / d), principal_point_px=((g * x0 - x) / a, (g * y0 - y) / d))
 
 
-def true_view(room: Room, renderer: Renderer) -> GroundTruth:
+def true_view(room: DrawnRoom, renderer: Renderer) -> GroundTruth:
     """Ground truth of every camera pixel, by a ray through its centre."""
     optics = room.camera.optics
     x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))

@@ -14,7 +14,7 @@ _PROJECTOR_STEP_PX = 20  # at the paper's 854 × 480
 
 
 @dataclass(frozen=True)
-class View:
+class ViewCriteria:
     """Criteria of one view of the corner.
 
     `label_shares` (6,): shares of the camera's directly lit pixels by `Label`. `lit_share`: share of the camera's
@@ -54,7 +54,7 @@ class View:
         )
 
 
-def look(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> View:
+def look(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> ViewCriteria:
     """Evaluate a view with a coarse grid of rays from both devices."""
     _, surface, lit = seen(scene, camera, projector)
     label = scene.labels[surface]
@@ -70,7 +70,7 @@ def look(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> View:
     baseline = projector.centre - camera.centre
     baseline = baseline / np.linalg.norm(baseline)
     of_sphere = label == Label.SPHERE
-    return View(
+    return ViewCriteria(
         label_shares=shares,
         lit_share=float(lit.mean()),
         picture_in_frame=float(camera.optics.sees(landed).mean()),

@@ -13,7 +13,7 @@ from hw.simulated.device import PlacedDevice
 from hw.simulated.furniture import EMBEDDED_M, box, draw_second_sphere, overlap
 from hw.simulated.placement import SHORT_THROW, RigGeometry, draw_rig, look_at
 from hw.simulated.scene import Scene
-from hw.simulated.shapes import Block, Sphere
+from hw.simulated.shapes import Block, Ball
 from hw.simulated.view import lit_and_visible, seen
 
 _STREAM = 200  # stream of random numbers; a single corner uses others
@@ -106,12 +106,12 @@ def _furnish(rng: np.random.Generator, bare: Scene, settings: SimulatedRigSettin
         return bare
     askew = np.radians(settings.furniture_askew_deg)
     pieces = [*_along_the_walls(rng, bare.room, askew), *_boxes(rng, bare.room)]
-    sphere = Sphere(
+    sphere = Ball(
         np.array([*_position_in_front_of_furniture(rng, bare.room), settings.sphere_radius_m]), settings.sphere_radius_m
     )
     second = None if settings.ball_bar_m is None else draw_second_sphere(rng, sphere, settings.ball_bar_m)
     spheres = [sphere] if second is None else [sphere, second]
-    solids: list[Block | Sphere] = [*pieces, *spheres]
+    solids: list[Block | Ball] = [*pieces, *spheres]
     blocked = any(overlap(first, second) for first, second in combinations(solids, 2))
     outside = not all(_surrounded_by_air(bare, ball) for ball in spheres[1:])
     if blocked or outside:
@@ -149,7 +149,7 @@ def _position_in_front_of_furniture(rng: np.random.Generator, room: Block) -> Fl
     return share * room.lengths[:2]
 
 
-def _surrounded_by_air(scene: Scene, sphere: Sphere) -> bool:
+def _surrounded_by_air(scene: Scene, sphere: Ball) -> bool:
     reach = sphere.radius * np.concatenate([np.eye(3), -np.eye(3)])
     return bool(scene.is_free((sphere.centre + reach).T).all())
 

@@ -10,7 +10,7 @@ from uuid import uuid4
 from hw.optional_parts import BATCH
 from scanner.batch.listing import Job
 from scanner.batch.processes import WorkerDiedError
-from scanner.batch.rows import Row
+from scanner.batch.rows import BatchRow
 from scanner.batch.work import Delivery, Work
 from scanner.errors import InputError
 
@@ -26,7 +26,7 @@ class DaskWorkers:
     def __init__(self, client: "Client") -> None:
         self._client = client
 
-    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, Row | Exception]]:
+    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, BatchRow | Exception]]:
         """The outcome of each job, in the order in which they finish.
 
         At most one task per thread is submitted at a time. Of more, Dask would also blame the waiting ones for a

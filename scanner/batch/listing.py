@@ -38,7 +38,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Request:
+class BatchRequest:
     """What the command line asks of every capture; an entry of the list may override it."""
 
     config: Path | None = None
@@ -59,7 +59,7 @@ class Request:
         return None if self.calibration is None else Location(self.calibration).read().decode("utf-8", "replace")
 
 
-def list_jobs(sources: Sequence[str], asked: Request) -> tuple[Job, ...]:
+def list_jobs(sources: Sequence[str], asked: BatchRequest) -> tuple[Job, ...]:
     """A job for each capture below folders, in names with * in them, or in lists (.csv), sorted by name.
 
     A list has a column `capture` and may have `name`, `config`, `calibration` and `set` (overrides, with ; between
@@ -92,7 +92,7 @@ def _refuse_nested(names: Collection[str]) -> None:
                 )
 
 
-def _from_folders(source: str, asked: Request) -> Iterator[Job]:
+def _from_folders(source: str, asked: BatchRequest) -> Iterator[Job]:
     template = asked.of_any()
     for root in Location(source).glob() if "*" in source else [Location(source)]:
         if not root.exists:
@@ -117,7 +117,7 @@ def _name(capture: str, root: str) -> str:
     return "/".join(whole[start:] or whole[-1:])
 
 
-def _from_list(file: Location, asked: Request) -> Iterator[Job]:
+def _from_list(file: Location, asked: BatchRequest) -> Iterator[Job]:
     rows = csv.DictReader(io.StringIO(file.read().decode("utf-8-sig", "replace"), newline=None))
     try:
         yield from _from_rows(rows, file, asked)
@@ -125,7 +125,7 @@ def _from_list(file: Location, asked: Request) -> Iterator[Job]:
         raise InputError(f"{file.url}, line {rows.line_num + 1}: not a table of values: {error}") from error
 
 
-def _from_rows(rows: "csv.DictReader[str]", file: Location, asked: Request) -> Iterator[Job]:
+def _from_rows(rows: "csv.DictReader[str]", file: Location, asked: BatchRequest) -> Iterator[Job]:
     columns = set(rows.fieldnames or ())
     if "capture" not in columns or columns - _COLUMNS:
         raise InputError(
@@ -133,12 +133,12 @@ def _from_rows(rows: "csv.DictReader[str]", file: Location, asked: Request) -> I
             f"{', '.join(sorted(columns)) or 'none'}"
         )
     folder = file.url.rpartition("/")[0]
-    template_of = cache(Request.of_any)  # a list may have thousands of lines with the same options
+    template_of = cache(BatchRequest.of_any)  # a list may have thousands of lines with the same options
     for number, row in enumerate(rows, start=2):
         if not row["capture"]:
             raise InputError(f"{file.url}, line {number}: no capture is named")
         capture = _beside(folder, row["capture"])
-        own = Request(
+        own = BatchRequest(
             Path(_beside(folder, row["config"])) if row.get("config") else asked.config,
             (*asked.overrides, *(part.strip() for part in (row.get("set") or "").split(";") if part.strip())),
             _beside(folder, row["calibration"]) if row.get("calibration") else asked.calibration,

@@ -6,7 +6,7 @@ from math import inf, isfinite
 from urllib.parse import quote
 
 from scanner.batch.location import Location
-from scanner.batch.rows import Row
+from scanner.batch.rows import BatchRow
 from scanner.batch.work import RESULTS, THUMBNAILS
 from scanner.quantities import Quantity
 from scanner.rendering import page
@@ -19,7 +19,7 @@ _MOST_ROWS = 5_000
 _WORDS = {0: "calibrated", EXIT_INPUT: "unusable input", EXIT_REFUSED: "refused", EXIT_BUG: "crashed"}
 
 
-def write_page(place: Location, rows: Sequence[Row]) -> None:
+def write_page(place: Location, rows: Sequence[BatchRow]) -> None:
     """Write the page. It needs no network; it links to the results and to no other files. Raises OSError."""
     counts = Counter(_state(row) for row in rows)
     text = page(
@@ -33,7 +33,7 @@ def write_page(place: Location, rows: Sequence[Row]) -> None:
     place.write(text.encode())
 
 
-def _line(row: Row) -> dict[str, object]:
+def _line(row: BatchRow) -> dict[str, object]:
     name = quote(row.name)
     return {
         "name": row.name,
@@ -50,13 +50,13 @@ def _line(row: Row) -> dict[str, object]:
     }
 
 
-def _headline(row: Row) -> str:
+def _headline(row: BatchRow) -> str:
     if row.headline is None:
         return _state(row).capitalize()
     return f"{SIGNS[row.grade or 'refused']} {row.headline}"
 
 
-def _state(row: Row) -> str:
+def _state(row: BatchRow) -> str:
     return _WORDS.get(row.exit_code, f"exit code {row.exit_code}")
 
 

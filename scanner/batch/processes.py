@@ -11,7 +11,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 from scanner.batch.listing import Job
-from scanner.batch.rows import Row
+from scanner.batch.rows import BatchRow
 from scanner.batch.work import Delivery, Work
 
 # A capture that was running when this many processes died is assumed to kill them.
@@ -59,7 +59,7 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
         many = f"{self._count} process{'' if self._count == 1 else 'es'}"
         return f"{many} of {self._memory_bytes / 2**30:.1f} GiB each"
 
-    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, Row | Exception]]:
+    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, BatchRow | Exception]]:
         """The outcome of each job, in the order in which they finish."""
         waiting, deaths = list(jobs)[::-1], dict[str, int]()
         while waiting or any(worker.job for worker in self._workers):
@@ -120,7 +120,7 @@ def _serve(connection: Connection) -> None:
             work, job, delivery = connection.recv()
         except EOFError:
             return
-        outcome: Row | Exception
+        outcome: BatchRow | Exception
         try:
             outcome = work(job, delivery)
         except Exception as error:

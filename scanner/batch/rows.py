@@ -18,7 +18,7 @@ _LARGEST = 2**63 - 1  # largest whole number of a table
 
 
 @dataclass(frozen=True)
-class Row:
+class BatchRow:
     """The outcome of one capture. `exit_code` is that of the equivalent single command; unknown values are None.
 
     `asked` identifies the request, including configuration and calibration. `seconds` is the time of work on `worker`,
@@ -54,7 +54,7 @@ class Row:
         return json.dumps(asdict(self), ensure_ascii=False, indent=1).encode()
 
     @staticmethod
-    def from_json(data: bytes, where: str) -> "Row":
+    def from_json(data: bytes, where: str) -> "BatchRow":
         """Read a row from JSON. Raises InputError if it is not one."""
         try:
             row = _CHECKED.validate_json(data, strict=True)
@@ -67,13 +67,13 @@ class Row:
             raise InputError(f"{where}: expected a row of a batch, found something else; remove it") from error
 
 
-_CHECKED = TypeAdapter(Row)
+_CHECKED = TypeAdapter(BatchRow)
 
 
-_COLUMNS = tuple(field.name for field in fields(Row))
+_COLUMNS = tuple(field.name for field in fields(BatchRow))
 
 
-def write_csv(place: Location, rows: Sequence[Row]) -> None:
+def write_csv(place: Location, rows: Sequence[BatchRow]) -> None:
     """A line for each row, after one with the columns' names. Raises OSError."""
     text = io.StringIO()
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
@@ -82,7 +82,7 @@ def write_csv(place: Location, rows: Sequence[Row]) -> None:
     place.write(text.getvalue().encode())
 
 
-def write_parquet(place: Location, rows: Sequence[Row]) -> None:
+def write_parquet(place: Location, rows: Sequence[BatchRow]) -> None:
     """The same with types, empty columns included. Raises OSError."""
     import pyarrow
     import pyarrow.parquet
@@ -91,7 +91,7 @@ def write_parquet(place: Location, rows: Sequence[Row]) -> None:
     schema = pyarrow.schema(
         [
             pyarrow.field(field.name, kinds[str(getattr(field.type, "__name__", field.type)).split(" ")[0]])
-            for field in fields(Row)
+            for field in fields(BatchRow)
         ]
     )
     columns = {name: [getattr(row, name) for row in rows] for name in _COLUMNS}

@@ -12,7 +12,7 @@ from scanner.batch.listing import Job
 from scanner.batch.location import Location
 from scanner.batch.page import write_page
 from scanner.batch.processes import WorkerDiedError
-from scanner.batch.rows import ENDING, Row, write_csv, write_parquet
+from scanner.batch.rows import ENDING, BatchRow, write_csv, write_parquet
 from scanner.batch.work import ROWS, Delivery, Work, work
 from scanner.errors import is_of_the_disk
 from scanner.ui import EXIT_BUG, Progress
@@ -25,7 +25,7 @@ TABLE, CSV, PAGE = "batch.parquet", "batch.csv", "index.html"
 class Workers(Protocol):
     """Workers that run jobs in parallel."""
 
-    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, Row | Exception]]:
+    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, BatchRow | Exception]]:
         """What `work` made of each job, or the error that it ended with, in the order in which they are finished."""
 
 
@@ -33,7 +33,7 @@ class Workers(Protocol):
 class Batch:
     """`rows` by name, with those `kept` from earlier runs; `seconds` of this run; `files` that summarise all rows."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[BatchRow, ...]
     kept: int
     seconds: float
     files: tuple[str, ...]
@@ -44,12 +44,12 @@ class Batch:
         return Counter(row.exit_code for row in self.rows)
 
 
-def pending(jobs: Sequence[Job], out: Location, *, retry: bool) -> tuple[dict[str, Row], list[Job]]:
+def pending(jobs: Sequence[Job], out: Location, *, retry: bool) -> tuple[dict[str, BatchRow], list[Job]]:
     """Rows of earlier runs for the same requests, and the jobs without a row.
 
     `retry`: crashed jobs run again. Raises InputError for an invalid row.
     """
-    rows = {name: Row.from_json(data, f"{name}{ENDING}") for name, data in (out / ROWS).read_all(ENDING).items()}
+    rows = {name: BatchRow.from_json(data, f"{name}{ENDING}") for name, data in (out / ROWS).read_all(ENDING).items()}
     asked = {job.name: job.asked for job in jobs}
     kept = {
         name: row
@@ -88,10 +88,10 @@ def run_batch(
     return Batch(ordered, kept, time.monotonic() - began_s, tuple(tables))
 
 
-def _worked(jobs: Sequence[Job], delivery: Delivery, workers: Workers) -> Iterator[Row]:
+def _worked(jobs: Sequence[Job], delivery: Delivery, workers: Workers) -> Iterator[BatchRow]:
     """Rows in the order of completion."""
     for job, outcome in workers.results(work, jobs, delivery):
-        if isinstance(outcome, Row):
+        if isinstance(outcome, BatchRow):
             yield outcome
         elif is_of_the_disk(outcome):
             outcome.add_note("What was finished is kept: once there is room, the same command goes on from there.")
@@ -100,10 +100,10 @@ def _worked(jobs: Sequence[Job], delivery: Delivery, workers: Workers) -> Iterat
             yield _crashed(job, delivery, outcome)
 
 
-def _crashed(job: Job, delivery: Delivery, error: Exception) -> Row:
+def _crashed(job: Job, delivery: Delivery, error: Exception) -> BatchRow:
     reason = str(error) if isinstance(error, WorkerDiedError) else f"{type(error).__name__}: {error}"
     log.warning("%s: %s", job.name, reason)
     url = delivery.result(job.name).url
-    row = Row(job.name, job.capture, url, EXIT_BUG, reason=reason, asked=job.asked)
+    row = BatchRow(job.name, job.capture, url, EXIT_BUG, reason=reason, asked=job.asked)
     delivery.row(job.name).write(row.to_json())
     return row

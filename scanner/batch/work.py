@@ -15,7 +15,7 @@ from calib.numerics import use_processors
 from scanner import jobs
 from scanner.batch.listing import Job
 from scanner.batch.location import Location
-from scanner.batch.rows import ENDING, Row
+from scanner.batch.rows import ENDING, BatchRow
 from scanner.capture import open_capture
 from scanner.errors import InputError, is_of_the_disk
 from scanner.io import read_image
@@ -46,10 +46,10 @@ class Delivery:
         return Location(self.out) / THUMBNAILS / f"{name}.jpg"
 
 
-Work = Callable[[Job, Delivery], Row]
+Work = Callable[[Job, Delivery], BatchRow]
 
 
-def work(job: Job, delivery: Delivery) -> Row:
+def work(job: Job, delivery: Delivery) -> BatchRow:
     """Reconstruct a capture and deliver the result, the row last. Every capture gets a row.
 
     Raises StorageError, OSError if nothing can be delivered, because that is no property of the capture.
@@ -68,9 +68,9 @@ def work(job: Job, delivery: Delivery) -> Row:
     return row
 
 
-def _reconstruct(job: Job, delivery: Delivery) -> Row:
+def _reconstruct(job: Job, delivery: Delivery) -> BatchRow:
     place = delivery.result(job.name)
-    row = Row(job.name, job.capture, place.url, 0)
+    row = BatchRow(job.name, job.capture, place.url, 0)
     try:
         with Location(job.capture).fetched() as capture:
             _deliver_thumbnail(capture, delivery.thumbnail(job.name))
@@ -109,7 +109,7 @@ def _make_room(place: Location) -> None:
     place.remove()
 
 
-def _with_verdict(row: Row, out: Path) -> Row:
+def _with_verdict(row: BatchRow, out: Path) -> BatchRow:
     verdict = verdict_of(out)
     if verdict is None:
         return row
@@ -117,7 +117,7 @@ def _with_verdict(row: Row, out: Path) -> Row:
     return replace(row, grade=verdict.grade, headline=verdict.headline, reason=reason)
 
 
-def _of_scan(row: Row, scan: Scan) -> Row:
+def _of_scan(row: BatchRow, scan: Scan) -> BatchRow:
     newest = scan.newest
     row = _of_calibration(row, newest.calibration)
     return replace(
@@ -128,7 +128,7 @@ def _of_scan(row: Row, scan: Scan) -> Row:
     )
 
 
-def _of_calibration(row: Row, calibration: Calibration) -> Row:
+def _of_calibration(row: BatchRow, calibration: Calibration) -> BatchRow:
     camera, projector, sigma = calibration.camera, calibration.projector, calibration.sigma
     return replace(
         row,

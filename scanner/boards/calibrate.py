@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.boards import FEWEST_VIEWS, Board, BoardCalibration, View, calibrate_boards
+from calib.boards import FEWEST_VIEWS, Board, BoardCalibration, BoardView, calibrate_boards
 from calib.geometry import Matches, Size, TooFewMatchesError
 from calib.numerics import Image
 from calib.refinement import into_cells
@@ -31,7 +31,7 @@ class BoardCapture:
     """A capture in which the board was found: its `texture` under white light, and the `view` of the board."""
 
     texture: Image
-    view: View
+    view: BoardView
 
     @property
     def name(self) -> str:
@@ -139,7 +139,7 @@ def find_board(decoded: Decoded, target: Target, progress: Progress) -> BoardCap
         return Missing(decoded.name, str(error))
 
 
-def view_of(name: str, detected: Detected, matches: Matches, target: Target, size: Size) -> View:
+def view_of(name: str, detected: Detected, matches: Matches, target: Target, size: Size) -> BoardView:
     """The board with the matches on it. Raises NotFoundError for too few of them."""
     column, row = np.rint(matches.camera_px).astype(np.int64).clip(0, np.array(size) - 1).T
     lit = matches[on_board(detected, target, size)[row, column]]
@@ -149,7 +149,7 @@ def view_of(name: str, detected: Detected, matches: Matches, target: Target, siz
         cells = into_cells(lit.with_faces(np.zeros(len(lit), np.int32)), (0,))
     except TooFewMatchesError as error:
         raise NotFoundError(f"the board's matches are no plane: {error}") from error
-    return View(name, detected.points, detected.pixels, cells)
+    return BoardView(name, detected.points, detected.pixels, cells)
 
 
 def _on_scale(result: FromBoards) -> list[str]:

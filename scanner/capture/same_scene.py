@@ -35,7 +35,7 @@ _SURE_PX = 0.1
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FrameComparison:
     """`gain` and `offset` (in contrasts) make the first frame as bright as the second; `moved_px`: by how much stripes
     and edges lie elsewhere, across them, in the median, None where there are none; `changed`: the share of tiles that
     differ all the same.
@@ -69,7 +69,7 @@ def refuse_another_scene(what: str, before: Image, now: Image, scale: float = 1.
     )
 
 
-def compare(before: Image, now: Image) -> Comparison:
+def compare(before: Image, now: Image) -> FrameComparison:
     """Least squares in small tiles: what of the difference is motion, what is left."""
     first, second = _grey(before), _grey(now)
     low, high = np.percentile(first, [2, 98])
@@ -89,7 +89,7 @@ def compare(before: Image, now: Image) -> Comparison:
     sees |= residuals > _CHANGED_OF_CONTRAST * contrast
     changed = float(np.mean(residuals[sees] > _CHANGED_OF_CONTRAST * contrast)) if np.count_nonzero(sees) else 0.0
     moved = float(np.median(np.abs(across[0][tells]))) if np.count_nonzero(tells) >= _FEWEST_TILES else None
-    return Comparison(gain, offset / contrast, moved, changed)
+    return FrameComparison(gain, offset / contrast, moved, changed)
 
 
 def scale_of(brightest: Image, projector_size: tuple[int, int]) -> float:

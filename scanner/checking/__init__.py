@@ -5,5 +5,5 @@ from scanner.checking.devices import opened
 from scanner.checking.document import write_check
 from scanner.checking.exposure import propose_exposure
 from scanner.checking.light import Light, photograph_light
-from scanner.checking.report import CheckReport, CheckRow, State, table_of
+from scanner.checking.report import CheckReport, CheckRow, CheckState, table_of
 from scanner.checking.response import measure_ramp

@@ -9,7 +9,7 @@ from hw.open_rig import open_rig
 from hw.rig import Rig
 from hw.settings import CameraRigSettings
 from hw.timing import TimedRig
-from scanner.checking.report import CheckRow, State
+from scanner.checking.report import CheckRow, CheckState
 from scanner.configuration import Config
 
 # Lost frames are retaken and only cost time; this many indicate a problem.
@@ -48,15 +48,15 @@ def opened(config: Config) -> Iterator[Rig]:
 def device_rows(rig: Rig) -> Iterator[CheckRow]:
     """Return rows that describe the devices and the latency from projector to camera."""
     camera, projector = rig.camera.size, rig.projector.size
-    yield CheckRow("camera", State.OK, f"{rig.identity.get('camera', 'simulated')}, {camera[0]} × {camera[1]} pixels")
+    yield CheckRow("camera", CheckState.OK, f"{rig.identity.get('camera', 'simulated')}, {camera[0]} × {camera[1]} pixels")
     about = rig.identity.get("projector", "simulated")
-    yield CheckRow("projector", State.OK, f"{about}, {projector[0]} × {projector[1]} pixels")
+    yield CheckRow("projector", CheckState.OK, f"{about}, {projector[0]} × {projector[1]} pixels")
     refresh = "" if rig.refresh_hz is None else f", a refresh every {1e3 / rig.refresh_hz:.1f} ms"
     if isinstance(rig, TimedRig):
         light = f"light comes {1e3 * rig.latency_s:.0f} ms after a picture is sent"
     else:
         light = "light comes at once"
-    yield CheckRow("latency", State.OK, light + refresh)
+    yield CheckRow("latency", CheckState.OK, light + refresh)
 
 
 def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
@@ -66,7 +66,7 @@ def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
     taken, again = rig.tally.taken, rig.tally.retriggered
     per_frame = f"{1e3 * rig.tally.seconds_per_frame:.0f} ms per frame"
     if again <= _MANY_RETAKEN * taken:
-        yield CheckRow("transfer", State.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
+        yield CheckRow("transfer", CheckState.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
     else:
         lost = f"{per_frame}, {again} of {taken} frames were lost at first"
-        yield CheckRow("transfer", State.POOR, lost, f"{rig.lost_advice} Stop other work on this computer.")
+        yield CheckRow("transfer", CheckState.POOR, lost, f"{rig.lost_advice} Stop other work on this computer.")

@@ -8,7 +8,7 @@ import numpy as np
 from calib.numerics import grey, robust_sigma
 from hw.rig import Rig, settable_exposure
 from scanner.checking.light import CLIPPED, Light, flicker_of, photograph_light
-from scanner.checking.report import LEAST_SHARE, CheckRow, State
+from scanner.checking.report import LEAST_SHARE, CheckRow, CheckState
 from scanner.decoding import MUCH_FLICKER
 
 _NAME = "exposure"
@@ -134,25 +134,25 @@ def exposure_row(proposal: Proposal, refresh_hz: float | None, *, bracketed: boo
     first = proposal.first
     finding = _described(first)
     if first.is_dark and proposal.exposure_us is None:
-        return CheckRow(_NAME, State.FAILED, finding, "Check lens cap, aperture, and that the projector is on.")
+        return CheckRow(_NAME, CheckState.FAILED, finding, "Check lens cap, aperture, and that the projector is on.")
     if not proposal.settable:
         well = not first.is_clipped and first.brightest >= LEAST_SHARE * (1 - first.headroom)
-        return CheckRow(_NAME, State.OK, finding) if well else CheckRow(_NAME, State.POOR, finding, _BY_HAND)
+        return CheckRow(_NAME, CheckState.OK, finding) if well else CheckRow(_NAME, CheckState.POOR, finding, _BY_HAND)
     if proposal.exposure_us is None:
-        return CheckRow(_NAME, State.POOR, finding, _beyond_the_camera(proposal.last))
+        return CheckRow(_NAME, CheckState.POOR, finding, _beyond_the_camera(proposal.last))
     better = f"{_shown(proposal.exposure_us, refresh_hz)}: {_described(proposal.last)}"
     if bracketed:
-        return CheckRow(_NAME, State.OK, f"sequence.exposures_us is used; a single one would be {better}")
+        return CheckRow(_NAME, CheckState.OK, f"sequence.exposures_us is used; a single one would be {better}")
     if first.is_clipped or first.is_dark or first.exposure_us < LEAST_SHARE * proposal.exposure_us:
-        return CheckRow(_NAME, State.POOR, finding, f"Better {better}. --write sets it.")
+        return CheckRow(_NAME, CheckState.POOR, finding, f"Better {better}. --write sets it.")
     if first.flicker > MUCH_FLICKER > proposal.last.flicker:
         finding = f"{_shown(first.exposure_us, refresh_hz)}, white frames differ by {100 * first.flicker:.2g} %"
-        return CheckRow(_NAME, State.POOR, finding, f"Better {better}. --write sets it.")
+        return CheckRow(_NAME, CheckState.POOR, finding, f"Better {better}. --write sets it.")
     if proposal.last.brightest < LEAST_SHARE * (1 - proposal.last.headroom) and not _is_coarse(proposal, refresh_hz):
         return CheckRow(
-            _NAME, State.POOR, f"{better}", "Open the aperture or raise the gain: longer ones take too long."
+            _NAME, CheckState.POOR, f"{better}", "Open the aperture or raise the gain: longer ones take too long."
         )
-    return CheckRow(_NAME, State.OK, f"{_shown(first.exposure_us, refresh_hz)}, {finding}")
+    return CheckRow(_NAME, CheckState.OK, f"{_shown(first.exposure_us, refresh_hz)}, {finding}")
 
 
 def _is_coarse(proposal: Proposal, refresh_hz: float | None) -> bool:

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.numerics import Bools, Floats, Ints, fit_reweighted, huber_weights, robust_sigma
-from scanner.checking.fringes import Fringe, cell_size
+from scanner.checking.fringes import FringePower, cell_size
 from scanner.patterns import Axis
 
 # Least power of a fringe relative to the noise of its mean.
@@ -54,7 +54,7 @@ class BlurSamples:
     lost: float
 
 
-def sample_blur(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools, projector_px: Floats) -> BlurSamples:
+def sample_blur(fringes: Mapping[tuple[Axis, float], FringePower], usable: Bools, projector_px: Floats) -> BlurSamples:
     """Measure blur from fringes of two or more periods, where pixels are `usable` (H, W) and `projector_px` (H, W, 2)
     is known.
     """
@@ -100,7 +100,7 @@ def period_for(span: float) -> float:
 
 
 def _blur2(
-    fringes: Mapping[tuple[Axis, float], Fringe], axis: Axis, part: tuple[slice, slice], good: Bools, slope: Floats
+    fringes: Mapping[tuple[Axis, float], FringePower], axis: Axis, part: tuple[slice, slice], good: Bools, slope: Floats
 ) -> tuple[float, float] | None:
     """Squared blur and its uncertainty, from the two shortest neighbouring periods that are resolved in a cell.
 
@@ -121,7 +121,7 @@ def _blur2(
     return None
 
 
-def _power(fringe: Fringe, part: tuple[slice, slice], good: Bools) -> float | None:
+def _power(fringe: FringePower, part: tuple[slice, slice], good: Bools) -> float | None:
     power, noise = fringe.power[part][good], fringe.noise[part][good]
     excess = float(power.mean() - noise.mean())
     uncertain = float(np.sqrt((power.var() + noise.var()) / len(power)))

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.numerics import Floats
 from scanner.checking.focus import BlurSamples, Lenses
-from scanner.checking.report import LEAST_AMPLITUDE, CheckRow, State
+from scanner.checking.report import LEAST_AMPLITUDE, CheckRow, CheckState
 from scanner.patterns import Gray, Pattern, Phase
 
 _NAME = "focus"
@@ -44,7 +44,7 @@ def focus_row(samples: BlurSamples, lenses: Lenses | None, period_px: float) -> 
     if lenses is None:
         return CheckRow(
             _NAME,
-            State.FAILED if samples.lost > 0.5 else State.POOR,
+            CheckState.FAILED if samples.lost > 0.5 else CheckState.POOR,
             "stripes are blurred away, or too few are seen to tell",
             "Focus the projector on the corner until single pixels are distinct on the wall, then the camera.",
         )
@@ -53,8 +53,8 @@ def focus_row(samples: BlurSamples, lenses: Lenses | None, period_px: float) -> 
     finding += _worst_in_words(samples, period_px)
     sure = _blurred(lenses, period_px, doubted=True)
     if amplitude >= _LEAST_OF_BOTH and not sure:
-        return CheckRow(_NAME, State.OK, finding)
-    return CheckRow(_NAME, State.POOR, finding, _advice(sure, lenses, period_px))
+        return CheckRow(_NAME, CheckState.OK, finding)
+    return CheckRow(_NAME, CheckState.POOR, finding, _advice(sure, lenses, period_px))
 
 
 def _advice(sure: list[str], lenses: Lenses, period_px: float) -> str:

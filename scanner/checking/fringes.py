@@ -19,7 +19,7 @@ CELLS_ACROSS = 24
 
 
 @dataclass(frozen=True)
-class Fringe:
+class FringePower:
     """A fringe of one axis and period: mean square amplitude of each camera pixel's sine over 4 steps, and the noise in
     it; (H, W), in squared grey levels.
     """
@@ -35,7 +35,7 @@ class FringeMeter:
     """
 
     def __init__(self) -> None:
-        self.fringes: dict[tuple[Axis, float], Fringe] = {}
+        self.fringes: dict[tuple[Axis, float], FringePower] = {}
         self._frames: dict[tuple[Axis, float], dict[float, Image]] = {}
 
     def watch(self, frames: Iterator[tuple[Pattern, Frame]]) -> Iterator[tuple[Pattern, Frame]]:
@@ -56,7 +56,7 @@ class FringeMeter:
             del self._frames[key]
 
 
-def _fringe(steps: Sequence[NDArray[np.float32]]) -> Fringe:
+def _fringe(steps: Sequence[NDArray[np.float32]]) -> FringePower:
     """Amplitude and noise of I_n = m + A cos(φ + nπ/2).
 
     Opposite steps differ by 2A cos φ and 2A sin φ, and the sums of opposite steps are equal. The difference of these
@@ -66,7 +66,7 @@ def _fringe(steps: Sequence[NDArray[np.float32]]) -> Fringe:
     first, second, third, fourth = steps
     power = ((first - third) ** 2 + (second - fourth) ** 2) / 4
     noise = (first + third - second - fourth) ** 2 / 4
-    return Fringe(power.astype(np.float32), noise.astype(np.float32))
+    return FringePower(power.astype(np.float32), noise.astype(np.float32))
 
 
 def cell_size(shape: tuple[int, int]) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Image, grey, robust_sigma
 from hw.rig import Rig
-from scanner.checking.report import LEAST_AMPLITUDE, TOLERATED_LOSS, CheckRow, State
+from scanner.checking.report import LEAST_AMPLITUDE, TOLERATED_LOSS, CheckRow, CheckState
 from scanner.decoding import MUCH_FLICKER
 
 # Least signal in standard deviations, as in the decoder.
@@ -113,10 +113,10 @@ def _ambient(light: Light) -> CheckRow:
     share = ambient_share(light)
     finding = f"a black picture is {100 * share:.1f} % as bright as a white one"
     if 1 - share >= LEAST_AMPLITUDE:
-        return CheckRow("ambient light", State.OK, finding)
+        return CheckRow("ambient light", CheckState.OK, finding)
     return CheckRow(
         "ambient light",
-        State.POOR,
+        CheckState.POOR,
         finding,
         "Darken the room, or use a brighter projector; then check the exposure again.",
     )
@@ -148,7 +148,7 @@ def _flicker(light: Light) -> CheckRow:
     flicker = flicker_of(light)
     finding = f"white frames differ by {100 * flicker.white:.2g} %"
     if flicker.white <= MUCH_FLICKER:
-        return CheckRow("flicker", State.OK, finding)
+        return CheckRow("flicker", CheckState.OK, finding)
     if TOLERATED_LOSS * flicker.black >= flicker.white:
         advice = "Black frames do so as well: turn off lamps on the mains, or expose for whole periods of it."
     else:
@@ -156,7 +156,7 @@ def _flicker(light: Light) -> CheckRow:
             "Black frames do not: the projector's light pulsates (colour wheel, dimmed lamp). Expose for whole refresh "
             "periods, better for several; turn off dynamic contrast and eco mode."
         )
-    return CheckRow("flicker", State.POOR, finding, advice)
+    return CheckRow("flicker", CheckState.POOR, finding, advice)
 
 
 def ghost_of(light: Light) -> float:
@@ -174,10 +174,10 @@ def leaves_ghost(light: Light) -> bool:
 def _ghost(light: Light) -> CheckRow:
     finding = f"{100 * max(ghost_of(light), 0.0):.1f} % of the picture before is left in a frame"
     if not leaves_ghost(light):
-        return CheckRow("ghost", State.OK, finding)
+        return CheckRow("ghost", CheckState.OK, finding)
     return CheckRow(
         "ghost",
-        State.POOR,
+        CheckState.POOR,
         finding,
         "The panel is slow: turn off noise reduction, motion smoothing and power saving in the projector's menu, and "
         "let it warm up; with a longer exposure less is left, and most DLP projectors leave nothing.",

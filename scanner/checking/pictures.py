@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, Floats
-from scanner.checking.fringes import Fringe, cell_size, smoothed
+from scanner.checking.fringes import FringePower, cell_size, smoothed
 from scanner.checking.light import Light
 from scanner.checking.report import Pixels
 from scanner.io import write_png
@@ -38,7 +38,7 @@ def coverage_picture(light: Light, matched: Bools) -> Pixels:
     return _with_legend(picture, ((SKY_BLUE, "matched"), (ORANGE, "bright, without a match")))
 
 
-def contrast_picture(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools) -> Pixels:
+def contrast_picture(fringes: Mapping[tuple[Axis, float], FringePower], usable: Bools) -> Pixels:
     """How much of the finest stripes is left relative to the longest, dark for 0 and bright for all; black: unknown."""
     size = cell_size(usable.shape)
     ratios = [_ratio(fringes, axis, usable, size) for axis in ("x", "y")]
@@ -53,7 +53,7 @@ def contrast_picture(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools
     return _with_scale(picture, text)
 
 
-def _ratio(fringes: Mapping[tuple[Axis, float], Fringe], axis: Axis, usable: Bools, size: int) -> Floats:
+def _ratio(fringes: Mapping[tuple[Axis, float], FringePower], axis: Axis, usable: Bools, size: int) -> Floats:
     periods = sorted(period for direction, period in fringes if direction == axis)
     weight = usable.astype(np.float64)
     short, long = (fringes[axis, period] for period in (periods[0], periods[-1]))

@@ -13,7 +13,7 @@ from calib.numerics import Floats, grey
 from hw.rig import Rig
 from scanner.capture import lines_of_light
 from scanner.checking.light import Light, settled
-from scanner.checking.report import CheckRow, State
+from scanner.checking.report import CheckRow, CheckState
 from scanner.checking.response import RAMP_STEPS, Ramp
 from scanner.patterns import Axis
 
@@ -46,7 +46,7 @@ def row_of(contrast: Floats) -> CheckRow:
     if contrast.max() > _MOST_CONTRAST:
         return CheckRow(
             _NAME,
-            State.POOR,
+            CheckState.POOR,
             f"{finding}: the projector sharpens, or the camera's response is not linear",
             "Turn sharpness in the projector's menu to 0 or its neutral value, and detail or edge enhancement off; set "
             "the camera's gamma to 1.",
@@ -54,12 +54,12 @@ def row_of(contrast: Floats) -> CheckRow:
     if contrast.min() < _LEAST_CONTRAST:
         return CheckRow(
             _NAME,
-            State.POOR,
+            CheckState.POOR,
             f"{finding}: the projector scales the picture, or its pixels share their light",
             "Send the picture in the projector's own resolution, and turn off keystone correction, digital zoom, "
             "overscan and aspect correction in its menu; move the projector instead.",
         )
-    return CheckRow(_NAME, State.OK, finding)
+    return CheckRow(_NAME, CheckState.OK, finding)
 
 
 def _level(step: int) -> int:

@@ -30,7 +30,7 @@ Pixels = NDArray[np.uint8]
 log = logging.getLogger(__name__)
 
 
-class State(StrEnum):
+class CheckState(StrEnum):
     """The grade of one row."""
 
     OK = "ok"
@@ -45,7 +45,7 @@ class CheckRow:
     """One checked item: its `name`, its state, the finding, and what to do (empty: nothing)."""
 
     name: str
-    state: State
+    state: CheckState
     finding: str
     advice: str = ""
 
@@ -80,22 +80,22 @@ class CheckReport:
     def fail(self, error: DeviceError) -> None:
         """A device has ended the check."""
         self.failure = error
-        self.add(CheckRow("devices", State.FAILED, str(error)))
+        self.add(CheckRow("devices", CheckState.FAILED, str(error)))
 
     @property
-    def state(self) -> State:
+    def state(self) -> CheckState:
         """The worst of all rows."""
         states = {row.state for row in self.rows}
-        return next((state for state in (State.FAILED, State.POOR) if state in states), State.OK)
+        return next((state for state in (CheckState.FAILED, CheckState.POOR) if state in states), CheckState.OK)
 
 
 # A sign and a word for each, for colour-blind readers.
-_SIGNS = {State.OK: "✓", State.POOR: "!", State.FAILED: "✗"}
-_PLAIN_SIGNS = {State.OK: "+", State.POOR: "!", State.FAILED: "x"}
-_STYLES = {State.OK: "cyan", State.POOR: "yellow", State.FAILED: "bold magenta"}
+_SIGNS = {CheckState.OK: "✓", CheckState.POOR: "!", CheckState.FAILED: "✗"}
+_PLAIN_SIGNS = {CheckState.OK: "+", CheckState.POOR: "!", CheckState.FAILED: "x"}
+_STYLES = {CheckState.OK: "cyan", CheckState.POOR: "yellow", CheckState.FAILED: "bold magenta"}
 
 
-def signs_for(encoding: str | None) -> dict[State, str]:
+def signs_for(encoding: str | None) -> dict[CheckState, str]:
     """Return ✓, ! and ✗, or plain letters where the terminal's encoding lacks them."""
     try:
         "".join(_SIGNS.values()).encode(encoding or "ascii")

@@ -7,7 +7,7 @@ import numpy as np
 from calib.numerics import Floats, grey
 from hw.rig import Rig
 from scanner.checking.light import Light, settled
-from scanner.checking.report import CheckRow, State
+from scanner.checking.report import CheckRow, CheckState
 from scanner.patterns import ProjectorResponse
 
 _NAME = "response"
@@ -56,7 +56,7 @@ def response_row(ramp: Ramp) -> CheckRow:
         first = round(255 * int(np.argmin(steps)) / (len(ramp.light) - 1))
         return CheckRow(
             _NAME,
-            State.POOR,
+            CheckState.POOR,
             f"above grey level {first} it becomes no brighter",
             "Set the projector's picture mode to standard, and turn off dynamic contrast and colour enhancement; lower "
             "its contrast if bright levels are alike, raise its brightness if dark ones are.",
@@ -66,5 +66,5 @@ def response_row(ramp: Ramp) -> CheckRow:
     if response.off_power_law > _FLAT:
         finding += f", with up to {100 * response.off_power_law:.1f} % of white off a power law"
     if steps[-1] < _FLAT:
-        return CheckRow(_NAME, State.POOR, f"{finding}; the brightest levels are alike", "Lower its contrast setting.")
-    return CheckRow(_NAME, State.OK, finding)
+        return CheckRow(_NAME, CheckState.POOR, f"{finding}; the brightest levels are alike", "Lower its contrast setting.")
+    return CheckRow(_NAME, CheckState.OK, finding)

@@ -14,7 +14,7 @@ import numpy as np
 from calib.numerics import Floats, Ints, grey
 from hw.rig import Frame, Rig
 from scanner.checking.light import Light, photograph_light
-from scanner.checking.report import CheckRow, State
+from scanner.checking.report import CheckRow, CheckState
 from scanner.decoding.motion import RigidFit, fit_motion, moved_device, shifts_by_motion
 from scanner.patterns import Axis, Pattern, Phase, phase_sequence
 from scanner.quantities import plain
@@ -79,7 +79,7 @@ def row_of(fit: RigidFit, percent: float, seconds: float) -> CheckRow:
         advice.append("Fasten what moves, or let it settle: a capture tolerates a tenth of a pixel.")
     if abs(percent) > _MOST_PERCENT:
         advice.append("The projector is not warm yet: give it a quarter of an hour with a picture on, and check again.")
-    return CheckRow(_NAME, State.POOR if advice else State.OK, finding, " ".join(advice))
+    return CheckRow(_NAME, CheckState.POOR if advice else CheckState.OK, finding, " ".join(advice))
 
 
 def _moved(before: InitialState, now: Levels, projector_px: Floats, projector_size: tuple[int, int]) -> RigidFit | None:

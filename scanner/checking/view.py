@@ -13,7 +13,7 @@ from calib.self_calibration import SelfCalibration
 from hw.rig import Rig
 from scanner.capture import capture
 from scanner.checking.fringes import FringeMeter
-from scanner.checking.report import LEAST_SHARE, CheckRow, State
+from scanner.checking.report import LEAST_SHARE, CheckRow, CheckState
 from scanner.configuration import Config
 from scanner.decoding import Decoding, MaskReason, MirroredError
 from scanner.errors import InputError
@@ -110,7 +110,7 @@ def projector_map(decoding: Decoding) -> Floats:
 
 
 @dataclass(frozen=True)
-class Coverage:
+class PictureCoverage:
     """How much of either picture serves, and where the served part has its middle, −½ … ½ from the centre, x and y.
 
     `camera`: share of the camera's pixels that have a match; `projector`: share of the projector's light that the
@@ -126,7 +126,7 @@ class Coverage:
     span: float
 
 
-def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage:
+def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> PictureCoverage:
     """Compute the coverage from the matches of a capture; at least one is required."""
     height, width = decoding.reasons.shape
     across = _SQUARES_ACROSS
@@ -138,7 +138,7 @@ def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage
     middle = (decoding.matches.camera_px.mean(axis=0) + 0.5) / (width, height) - 0.5
     seen_y, seen_x = np.nonzero(tiles)
     spanned = tiles.mean() * projector_size[0] * projector_size[1] / max(1, len(decoding.matches))
-    return Coverage(
+    return PictureCoverage(
         float(np.mean(decoding.reasons == MaskReason.KEPT)),
         (float(middle[0]), float(middle[1])),
         float(tiles.mean()),
@@ -154,7 +154,7 @@ def decoded_share(decoding: Decoding) -> float:
     return float(np.sum(decoding.reasons == MaskReason.KEPT)) / lit if lit else 1.0
 
 
-def coverage_row(coverage: Coverage, decoding: Decoding) -> CheckRow:
+def coverage_row(coverage: PictureCoverage, decoding: Decoding) -> CheckRow:
     """Grade the overlap of the two pictures, with directions to turn the devices."""
     finding = (
         f"{100 * coverage.camera:.0f} % of the camera's pixels see the projector's light, and the camera sees "
@@ -162,13 +162,13 @@ def coverage_row(coverage: Coverage, decoding: Decoding) -> CheckRow:
     )
     if decoded_share(decoding) < LEAST_SHARE:
         finding += f"; only {100 * decoded_share(decoding):.0f} % of the lit pixels decode"
-        return CheckRow(_COVERAGE, State.POOR, finding, "Correct what the other lines say about light and focus.")
+        return CheckRow(_COVERAGE, CheckState.POOR, finding, "Correct what the other lines say about light and focus.")
     advice = []
     if coverage.camera < _LEAST_OF_CAMERA:
         advice.append(_turned("the camera", coverage.camera_middle, "Move the camera closer, or use a longer lens"))
     if coverage.projector < LEAST_SHARE:
         advice.append(_turned("the projector", coverage.projector_middle, "Move the camera back, or use a wider lens"))
-    return CheckRow(_COVERAGE, State.POOR if advice else State.OK, finding, " ".join(advice))
+    return CheckRow(_COVERAGE, CheckState.POOR if advice else CheckState.OK, finding, " ".join(advice))
 
 
 def _turned(device: str, middle: tuple[float, float], otherwise: str) -> str:
@@ -198,29 +198,29 @@ def view_row(
     `as_configured`: `seen` is not the quick capture, which decoded too little.
     """
     if capture.decoded is None:
-        row = CheckRow(_VIEW, State.FAILED, capture.problem, capture.advice)
+        row = CheckRow(_VIEW, CheckState.FAILED, capture.problem, capture.advice)
         return row, refusal_of(row)
     try:
         solution = predict(capture.decoded, config, earlier)
     except RefusalError as refusal:
-        return CheckRow(_VIEW, State.FAILED, refusal.reason, refusal.advice), refusal
+        return CheckRow(_VIEW, CheckState.FAILED, refusal.reason, refusal.advice), refusal
     sigmas = relative_focal_sigmas(solution.calibration)
     described = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
     finding = f"focal lengths will be known to about {described}"
     if max(sigmas.values()) > _RISKY_SIGMA:
         further = of_kinds(solution.findings, FURTHER_CAPTURE)
-        return CheckRow(_VIEW, State.POOR, finding, " ".join(map(str, further)) or RIG.move), None
+        return CheckRow(_VIEW, CheckState.POOR, finding, " ".join(map(str, further)) or RIG.move), None
     if as_configured:
         finding += f"; the {_QUICK} sequence is not sufficient"
-        return CheckRow(_VIEW, State.POOR, finding, _UNREADABLE), None
-    return CheckRow(_VIEW, State.OK, finding), None
+        return CheckRow(_VIEW, CheckState.POOR, finding, _UNREADABLE), None
+    return CheckRow(_VIEW, CheckState.OK, finding), None
 
 
 def nothing_lit() -> CheckRow:
     """Whether a white picture looks like a black one."""
     return CheckRow(
         _COVERAGE,
-        State.FAILED,
+        CheckState.FAILED,
         "the camera sees no difference between a white and a black picture",
         "Point it at the projector's light; check lens cap, aperture and exposure, and that the projector is on.",
     )

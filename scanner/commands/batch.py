@@ -19,7 +19,7 @@ _LEAST_BYTES = 400_000_000
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
-    from scanner.batch import Batch, Processes, Request, dask_workers, list_jobs, refuse_without_dask, run_batch
+    from scanner.batch import Batch, Processes, BatchRequest, dask_workers, list_jobs, refuse_without_dask, run_batch
 
     if args.scheduler:
         refuse_without_dask()
@@ -31,7 +31,7 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     if harmless(args.out) != args.out:
         raise InputError(f"--out: expected a name of printable UTF-8 characters, found {shown(args.out)}")
-    asked = Request(args.config, tuple(args.set), args.calibration)
+    asked = BatchRequest(args.config, tuple(args.set), args.calibration)
     asked.refuse_no_calibration()
     with terminal.step("Looking for captures"):
         jobs = list_jobs(args.sources, asked)

@@ -9,7 +9,7 @@ from scanner.viewing import require_viser
 def run(args: Namespace) -> None:
     """Serve until Ctrl-C. Raises InputError, KeyboardInterrupt."""
     require_viser()
-    from scanner.console import Settings, console  # viser is an extra
+    from scanner.console import ConsoleSettings, console  # viser is an extra
 
-    settings = Settings(args.config, tuple(args.set), calibration=args.calibration)
+    settings = ConsoleSettings(args.config, tuple(args.set), calibration=args.calibration)
     console(settings, args.host, args.port, Terminal(), browser=not args.no_browser)

@@ -4,7 +4,7 @@ import math
 from argparse import Namespace
 
 from scanner.errors import InputError
-from scanner.exporting import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS, Request
+from scanner.exporting import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS, ExportRequest
 from scanner.results import path_beside
 from scanner.ui import Terminal
 
@@ -28,7 +28,7 @@ def run(args: Namespace) -> None:
     target.check_name(out)
     terminal = Terminal(quiet=args.quiet)
     with terminal.step("Exporting"):
-        written = target.write(Request(args.result, out, args.overwrite, args.points or DEFAULT_POINTS, eye, gamma))
+        written = target.write(ExportRequest(args.result, out, args.overwrite, args.points or DEFAULT_POINTS, eye, gamma))
     terminal.show(*written, f"Written: {out}", f"→ {target.opened_by}")
 
 

@@ -15,10 +15,10 @@ from scanner.importing import (
     LAYOUTS,
     FrameFiles,
     Given,
-    Layout,
+    FrameLayout,
     Recognised,
     Rejected,
-    Samples,
+    LevelSamples,
     describe_order,
     find_frames,
     fringe_layouts,
@@ -48,7 +48,7 @@ def run(args: Namespace) -> None:
     files = find_frames(args.folder, args.frames)
 
     @cache
-    def look() -> Samples:
+    def look() -> LevelSamples:
         with terminal.step("Looking at the frames"):
             return take_samples([*files.numbered, *(path for path in (files.white, files.black) if path)])
 
@@ -69,7 +69,7 @@ def run(args: Namespace) -> None:
     )
 
 
-def _named(every: Sequence[Layout], name: str) -> Layout:
+def _named(every: Sequence[FrameLayout], name: str) -> FrameLayout:
     names = {layout.name: layout for layout in every}
     if name not in names:
         raise InputError(f"--from {name}: expected one of {', '.join(names)}")
@@ -110,7 +110,7 @@ def _shown(size: tuple[int, int]) -> str:
 
 
 def _table(
-    every: Sequence[Layout], chosen: Recognised, found: Sequence[Recognised], rejected: Sequence[Rejected]
+    every: Sequence[FrameLayout], chosen: Recognised, found: Sequence[Recognised], rejected: Sequence[Rejected]
 ) -> Table:
     """A line for each layout: whether it fits, and why, or why not."""
     table = Table(box=box.SIMPLE, pad_edge=False)

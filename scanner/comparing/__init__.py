@@ -1,5 +1,5 @@
 """Comparison of two calibrations of one rig: where they differ, and whether their sigmas allow it."""
 
-from scanner.comparing.comparison import Comparison, Sheet, compare_files
+from scanner.comparing.comparison import CalibrationComparison, Sheet, compare_files
 from scanner.comparing.page import COMPARE_FILE, COMPARE_PAGE, write_compare, write_compare_page
 from scanner.comparing.summary import headings, rows, summary, table

@@ -36,7 +36,7 @@ class Sheet:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class CalibrationComparison:
     """`names` as they were given; `known`: whether each says its covariance; `camera_px` (H, W, 2): the grid.
 
     Lengths are in `unit`. `difference` is over all points, `sheets` are the same by depth.
@@ -52,7 +52,7 @@ class Comparison:
     sheets: tuple[Sheet, ...]
 
 
-def compare_files(first: Path, second: Path, depths: Sequence[str] = ()) -> Comparison:
+def compare_files(first: Path, second: Path, depths: Sequence[str] = ()) -> CalibrationComparison:
     """Compare files or result folders; `depths` are lengths as text, by default some of the scene's.
 
     Lengths are in the first one's unit; if only the second one has a known length, it comes first. Raises InputError.
@@ -79,7 +79,7 @@ def compare_files(first: Path, second: Path, depths: Sequence[str] = ()) -> Comp
             f"{first} and {second} see next to nothing in common at depths of {', '.join(f'{d:.3g}' for d in at)} "
             f"{units[0]}: they are not of one rig, or --depths is far from where both devices see"
         )
-    return Comparison(
+    return CalibrationComparison(
         (str(first), str(second)),
         (one.known, other.known),
         units[0],

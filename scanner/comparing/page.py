@@ -11,7 +11,7 @@ from markupsafe import Markup, escape
 
 from calib.geometry import Size
 from calib.numerics import Floats
-from scanner.comparing.comparison import Comparison, Sheet
+from scanner.comparing.comparison import CalibrationComparison, Sheet
 from scanner.comparing.summary import headings, rows, summary
 from scanner.quantities import shown_unit
 from scanner.rendering import VIRIDIS, css_colour, page, shaded
@@ -28,7 +28,7 @@ class _Map:
     caption: str
 
 
-def write_compare_page(path: Path, comparison: Comparison) -> None:
+def write_compare_page(path: Path, comparison: CalibrationComparison) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
     verdict, *sentences = summary(comparison)
     text = page(
@@ -46,7 +46,7 @@ def write_compare_page(path: Path, comparison: Comparison) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def _maps(comparison: Comparison, sheet: Sheet) -> Iterator[_Map]:
+def _maps(comparison: CalibrationComparison, sheet: Sheet) -> Iterator[_Map]:
     if np.isnan(sheet.length).all():
         return
     unit, known = shown_unit(comparison.unit), any(comparison.known)
@@ -79,12 +79,12 @@ def _heat(values: Floats, size: Size, label: str) -> Markup:
     )
 
 
-def write_compare(path: Path, comparison: Comparison) -> None:
+def write_compare(path: Path, comparison: CalibrationComparison) -> None:
     """Write all numbers; lengths are in `unit`, null where not both devices see. Raises OSError."""
     path.write_text(json.dumps(_document(comparison), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def _document(comparison: Comparison) -> dict[str, Any]:
+def _document(comparison: CalibrationComparison) -> dict[str, Any]:
     difference = comparison.difference
     return {
         "format": _FORMAT,

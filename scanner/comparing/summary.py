@@ -7,11 +7,11 @@ from rich import box
 from rich.table import Table
 
 from calib.numerics import Floats
-from scanner.comparing.comparison import Comparison, Sheet
+from scanner.comparing.comparison import CalibrationComparison, Sheet
 from scanner.quantities import ShownUnit, plain, shown_unit
 
 
-def summary(comparison: Comparison) -> Iterator[str]:
+def summary(comparison: CalibrationComparison) -> Iterator[str]:
     """The verdict first, then its reasons, in sentences."""
     difference, unit = comparison.difference, shown_unit(comparison.unit)
     worst = int(np.argmax(difference.sigmas if any(comparison.known) else difference.length))
@@ -48,13 +48,13 @@ def summary(comparison: Comparison) -> Iterator[str]:
         yield "They share no known length, so one was scaled to fit best: the differences are in shape only."
 
 
-def headings(comparison: Comparison) -> tuple[str, ...]:
+def headings(comparison: CalibrationComparison) -> tuple[str, ...]:
     """Return the column headings of `rows`."""
     name = shown_unit(comparison.unit).name
     return (f"depth, {name}", "px, rms", "max", "sigma", f"{name}, rms", "max", "sigma", "in sigmas")
 
 
-def rows(comparison: Comparison) -> list[tuple[str, ...]]:
+def rows(comparison: CalibrationComparison) -> list[tuple[str, ...]]:
     """Return a row per depth: differences in projector pixels and as lengths, and those expected from one sigma of both
     results.
     """
@@ -75,7 +75,7 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def table(comparison: Comparison) -> Table:
+def table(comparison: CalibrationComparison) -> Table:
     """Return those rows as a table for the terminal."""
     made = Table(title="Differences by depth", title_justify="left", box=box.SIMPLE, pad_edge=False)
     for heading in headings(comparison):

@@ -12,7 +12,7 @@ from hw.backends import RigSettings
 from hw.rig import Frame, Rig, settable_exposure
 from hw.settings import CameraRigSettings
 from scanner.console.picture import HISTOGRAM_BINS, exposed, histogram, shown
-from scanner.console.settings import Picture
+from scanner.console.settings import IdlePicture
 from scanner.quantities import percent
 from scanner.rendering import Pixels, jpeg_uri
 
@@ -34,11 +34,11 @@ class CameraView:
         self._image = gui.add_html("")
         self._message = gui.add_markdown("No frame yet.")
         self._mark = gui.add_checkbox("Mark clipped", initial_value=True, hint="Clipped pixels in orange-red")
-        self._picture = gui.add_dropdown("Projector", [picture.value for picture in Picture])
+        self._picture = gui.add_dropdown("Projector", [picture.value for picture in IdlePicture])
         self._exposure = gui.add_number("Exposure, ms", 0.0, min=0.0, max=_LONGEST_MS, step=0.1)
         self._add_gain(gui, settings)
         self._histogram = _histogram_plot(gui)
-        self._picture.on_update(lambda _: change(picture=Picture(self._picture.value)))
+        self._picture.on_update(lambda _: change(picture=IdlePicture(self._picture.value)))
         self._exposure.on_update(self._on_exposure)
 
     def set_exposure(self, exposure_us: float) -> None:

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import viser
 
-from scanner.checking import CheckReport, CheckRow, State
+from scanner.checking import CheckReport, CheckRow, CheckState
 from scanner.configuration import set_keys
 from scanner.console.texts import grade_text, rows_text
 from scanner.viewing import PLAIN, escaped, failures_shown
 
-_WORST_FIRST = (State.FAILED, State.POOR, State.OK)
+_WORST_FIRST = (CheckState.FAILED, CheckState.POOR, CheckState.OK)
 
 
 class CheckView:

@@ -12,7 +12,7 @@ from calib.geometry import IDENTITY, Calibration
 from hw.rig import Frame
 from scanner.live import Account, LiveCloud, Newest, Watcher, Wishes, round_texts
 from scanner.rendering import photograph
-from scanner.viewing import CloudWithSigma, Colouring, PlacedRig, Scene, bar_html, escaped
+from scanner.viewing import CloudWithSigma, Colouring, PlacedRig, CloudScene, bar_html, escaped
 
 log = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ class LiveView(Watcher):
 
     def __init__(self, server: viser.ViserServer, on_frame: Callable[[Frame], None] = lambda _: None) -> None:
         gui = server.gui
-        self._scene, self._on_frame = Scene(server), on_frame
+        self._scene, self._on_frame = CloudScene(server), on_frame
         self._wishes = Wishes()
         self._calibration: Calibration | None = None
         self._picked = np.empty(0)

@@ -8,12 +8,12 @@ import viser
 
 from hw.rig import Frame
 from scanner.console.picture import shown
-from scanner.console.progress import Stage
-from scanner.console.settings import Settings
+from scanner.console.progress import ProgressStep
+from scanner.console.settings import ConsoleSettings
 from scanner.console.texts import failures_html, pictures_html, stages_html
 from scanner.console.worker import Activity, Status
 from scanner.errors import InputError
-from scanner.networks import Pair, Sight, in_light, network_graph
+from scanner.networks import Pair, PairProgress, in_light, network_graph
 from scanner.rendering import jpeg_uri
 
 _EVERY_S = 0.3
@@ -32,7 +32,7 @@ class NetworkView:
     def __init__(self, gui: viser.GuiApi, change: Callable[..., None], on_network: Callable[[bool], None]) -> None:
         self._on_network = on_network
         self._lock = Lock()
-        self._sights: dict[Pair, Sight] = {}
+        self._sights: dict[Pair, PairProgress] = {}
         self._began_s: dict[str, float] = {}
         self._pictures: dict[str, tuple[str, str]] = {}  # by camera: what it shows, and a data URI
         self._levels: dict[str, int] = {}
@@ -48,7 +48,7 @@ class NetworkView:
         self._pair.on_update(lambda _: change(pair=self._chosen, exposure_us=None, gain=None))
         self._distance.on_update(lambda _: change(distance=self._distance.value.strip()))
 
-    def follow(self, settings: Settings) -> None:
+    def follow(self, settings: ConsoleSettings) -> None:
         """Show the network of the configuration as it is now; until that can be read, the last one."""
         try:
             rigs = settings.load_whole().rigs
@@ -58,7 +58,7 @@ class NetworkView:
         with self._lock:
             if self._timed or pairs == [*self._sights]:
                 return
-            self._sights = {pair: Sight(*pair) for pair in pairs}
+            self._sights = {pair: PairProgress(*pair) for pair in pairs}
             self._began_s, self._pictures = {}, {}
             self._folder.visible = bool(pairs)
             self._draw()
@@ -83,7 +83,7 @@ class NetworkView:
             if self._timed:
                 self._draw()
 
-    def on_sight(self, sight: Sight, frame: Frame | None) -> None:
+    def on_sight(self, sight: PairProgress, frame: Frame | None) -> None:
         """A capture has got on."""
         now_s = time.monotonic()
         with self._lock:
@@ -127,11 +127,11 @@ class NetworkView:
         self._graph.content = f'<div class="scan-graph">{network_graph(sights)}</div>{failures_html(sights)}'
         self._progress.content = stages_html(self._stages(), timed=self._timed)
 
-    def _stages(self) -> list[Stage]:
+    def _stages(self) -> list[ProgressStep]:
         """Each projector's frames, as soon as there is one."""
         stages, most = [], max(sight.total for sight in self._sights.values())  # of those that have not begun
         for projector in dict.fromkeys(name for _, name in self._sights):
             sights = [sight for (_, name), sight in self._sights.items() if name == projector]
             done, total = sum(sight.done for sight in sights), sum(sight.total or most for sight in sights)
-            stages.append(Stage(projector, done, total, self._began_s.get(projector, time.monotonic())))
+            stages.append(ProgressStep(projector, done, total, self._began_s.get(projector, time.monotonic())))
         return stages if self._began_s else []

@@ -15,7 +15,7 @@ from scanner.console.history import History
 from scanner.console.live_view import LiveView
 from scanner.console.network_view import NetworkView
 from scanner.console.operating import Operating
-from scanner.console.settings import Settings
+from scanner.console.settings import ConsoleSettings
 from scanner.console.worker import Activity, Status, Worker
 from scanner.interruption import finishing
 from scanner.results import REFUSAL_FILE, Scan
@@ -41,7 +41,7 @@ _KEYS = ("I", "R", "H")  # with Shift; digits with it are other characters on ev
 class ConsolePage:
     """`scanner.console.worker.Page` on viser; its buttons are requests to the worker that it starts."""
 
-    def __init__(self, served: Serving, settings: Settings) -> None:
+    def __init__(self, served: Serving, settings: ConsoleSettings) -> None:
         gui = served.server.gui
         self._worker = Worker(settings, self)
         self._closed = Event()
@@ -157,7 +157,7 @@ class ConsolePage:
 log = logging.getLogger(__name__)
 
 
-def console(settings: Settings, host: str, port: int | None, terminal: Terminal, *, browser: bool) -> None:
+def console(settings: ConsoleSettings, host: str, port: int | None, terminal: Terminal, *, browser: bool) -> None:
     """Serve the page until Ctrl-C, which raises KeyboardInterrupt. Raises InputError.
 
     A scan that is running then is cancelled: what it has captured is kept, and the terminal says where.

@@ -27,7 +27,7 @@ class CancelledError(Exception):
 
 
 @dataclass(frozen=True)
-class Stage:
+class ProgressStep:
     """The current step; `done` of `total` items, or 0 of 0 where they cannot be counted.
 
     `began_s`: its start, by `time.monotonic`; `usual_s`: how long it took the last time, None if unknown.
@@ -67,7 +67,7 @@ class StagedProgress:
     def __init__(
         self,
         cancelled: Event,
-        on_stage: Callable[[Stage], None],
+        on_stage: Callable[[ProgressStep], None],
         on_frame: Callable[[Frame], None],
         on_captured: Callable[[], None] = lambda: None,
         durations_s: dict[str, float] | None = None,
@@ -83,13 +83,13 @@ class StagedProgress:
         log.info("%s: %d", what, total)
         began_s, frames = time.monotonic(), False
         usual_s = self._durations_s.get(what)
-        self._tell(Stage(what, 0, total, began_s, usual_s))
+        self._tell(ProgressStep(what, 0, total, began_s, usual_s))
         for done, item in enumerate(items, start=1):
             for frame in frames_in(item)[:1]:
                 self._on_frame(frame)
                 frames = True
             yield item
-            self._tell(Stage(what, done, total, began_s, usual_s))
+            self._tell(ProgressStep(what, done, total, began_s, usual_s))
         self._durations_s[what] = time.monotonic() - began_s
         if frames:
             self._on_captured()
@@ -98,12 +98,12 @@ class StagedProgress:
     def step(self, what: str) -> Iterator[None]:
         """Tell what is being done."""
         log.info("%s", what)
-        stage = Stage(what, usual_s=self._durations_s.get(what))
+        stage = ProgressStep(what, usual_s=self._durations_s.get(what))
         self._tell(stage)
         yield
         self._durations_s[what] = time.monotonic() - stage.began_s
 
-    def _tell(self, stage: Stage) -> None:
+    def _tell(self, stage: ProgressStep) -> None:
         if self._cancelled.is_set():
             raise CancelledError("cancelled")
         self._on_stage(stage)

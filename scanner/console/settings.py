@@ -18,7 +18,7 @@ from scanner.results import default_out
 _LONGEST_NAME = 80
 
 
-class Picture(StrEnum):
+class IdlePicture(StrEnum):
     """What the projector shows between scans."""
 
     WHITE = "White"
@@ -27,7 +27,7 @@ class Picture(StrEnum):
 
 
 @dataclass(frozen=True)
-class Settings:
+class ConsoleSettings:
     """The configuration's file and overrides, and on top of them what was changed on the page; None: left as it is.
 
     `name`: of the next result; '' for the configuration's. `captures`: how many a scan takes.
@@ -40,7 +40,7 @@ class Settings:
     overrides: tuple[str, ...] = ()
     exposure_us: float | None = None
     gain: float | None = None
-    picture: Picture = Picture.WHITE
+    picture: IdlePicture = IdlePicture.WHITE
     name: str = ""
     captures: int = 1
     calibration: Path | None = None
@@ -78,7 +78,7 @@ class Settings:
             raise InputError(f"{self.config} names no camera {self.pair[0]} with a projector {self.pair[1]} any more")
         return pairs[self.pair]
 
-    def in_turn(self) -> tuple["Settings", ...]:
+    def in_turn(self) -> tuple["ConsoleSettings", ...]:
         """What to look at: the rig or the pair, or else each camera of a network in the first projector's light."""
         rigs = self.load_whole().rigs
         if rigs is None or self.pair is not None:
@@ -96,16 +96,16 @@ def plain_name(text: str) -> str:
     return re.sub(r"[^\w.-]+", "-", text).strip("-.")[:_LONGEST_NAME]
 
 
-def drawn(picture: Picture, sequence: Iterable[Pattern], size: tuple[int, int]) -> NDArray[np.uint8]:
+def drawn(picture: IdlePicture, sequence: Iterable[Pattern], size: tuple[int, int]) -> NDArray[np.uint8]:
     """Draw what to project, (H, W) for a projector of `size` (width, height). The stripes are the finest of the
     sequence.
     """
     match picture:
-        case Picture.WHITE:
+        case IdlePicture.WHITE:
             return draw(White(), size)
-        case Picture.BLACK:
+        case IdlePicture.BLACK:
             return draw(Black(), size)
-        case Picture.STRIPES:
+        case IdlePicture.STRIPES:
             return draw(_finest(sequence), size)
 
 

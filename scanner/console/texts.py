@@ -6,15 +6,15 @@ from datetime import datetime
 
 from markupsafe import escape
 
-from scanner.checking import CheckRow, State
-from scanner.console.progress import Stage
+from scanner.checking import CheckRow, CheckState
+from scanner.console.progress import ProgressStep
 from scanner.console.results import Card
 from scanner.console.worker import Status
-from scanner.networks import Sight
+from scanner.networks import PairProgress
 from scanner.results import SIGNS
 from scanner.viewing import bold, escaped
 
-_SIGNS = {State.OK: "✓", State.POOR: "!", State.FAILED: "✗"}
+_SIGNS = {CheckState.OK: "✓", CheckState.POOR: "!", CheckState.FAILED: "✗"}
 _WORTH_TELLING_S = 5.0
 
 
@@ -32,12 +32,12 @@ def status_text(status: Status) -> str:
     return f"**{status.activity}**: {escaped(stage_text(status.stage))}{time_left}"
 
 
-def stage_text(stage: Stage) -> str:
+def stage_text(stage: ProgressStep) -> str:
     """What is being done, and how much of it is."""
     return stage.what + (f", {stage.done} of {stage.total}" if stage.total else "")
 
 
-def stages_html(stages: Iterable[Stage], *, timed: bool) -> str:
+def stages_html(stages: Iterable[ProgressStep], *, timed: bool) -> str:
     """Bars of what is done one after the other, with the time left if `timed`."""
     return "".join(
         f'<div class="scan-stage"><p>{escape(_stage_words(stage, timed=timed))}</p><progress aria-label='
@@ -46,7 +46,7 @@ def stages_html(stages: Iterable[Stage], *, timed: bool) -> str:
     )
 
 
-def _stage_words(stage: Stage, *, timed: bool) -> str:
+def _stage_words(stage: ProgressStep, *, timed: bool) -> str:
     if stage.done == stage.total:
         return f"{stage.what}: done"
     if not stage.done:
@@ -63,14 +63,14 @@ def pictures_html(pictures: Mapping[str, tuple[str, str]]) -> str:
     return f'<div class="scan-pictures">{"".join(figures)}</div>'
 
 
-def failures_html(sights: Iterable[Sight]) -> str:
+def failures_html(sights: Iterable[PairProgress]) -> str:
     """Why there is no capture of a network's cameras."""
     return "".join(
         f'<p class="scan-link">{escape(f"{sight.name} {sight.text}")}</p>' for sight in sights if sight.failure
     )
 
 
-def _time_text(stage: Stage) -> str:
+def _time_text(stage: ProgressStep) -> str:
     """Return the remaining time or, where it is unknown, the elapsed time; '' during the first moment."""
     now_s = time.monotonic()
     left_s = stage.left_s(now_s)
@@ -102,7 +102,7 @@ def rows_text(rows: list[CheckRow]) -> str:
 
 def grade_text(rows: list[CheckRow]) -> str:
     """Return the overall grade of a check."""
-    failed, poor = (sum(row.state is state for row in rows) for state in (State.FAILED, State.POOR))
+    failed, poor = (sum(row.state is state for row in rows) for state in (CheckState.FAILED, CheckState.POOR))
     if failed:
         return f"**✗ A scan would fail**: {failed} of {len(rows)} lines say why."
     if poor:

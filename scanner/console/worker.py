@@ -17,13 +17,13 @@ from hw.errors import FrameLostError
 from hw.rig import Frame, Rig, settable_exposure
 from scanner.checking import CheckReport, CheckRow, check_configured_rig, opened
 from scanner.console.asking import PageOperator
-from scanner.console.progress import CancelledError, Stage, StagedProgress, durations_in
+from scanner.console.progress import CancelledError, ProgressStep, StagedProgress, durations_in
 from scanner.console.results import SCANS, newest_calibration, newest_result
-from scanner.console.settings import Settings, drawn
+from scanner.console.settings import ConsoleSettings, drawn
 from scanner.errors import InputError
 from scanner.jobs import scan
 from scanner.live import Watcher, Wishes, result_texts, scan_live
-from scanner.networks import KnownDistance, Pair, Sight, scan_network
+from scanner.networks import KnownDistance, Pair, PairProgress, scan_network
 from scanner.results import LOG_FILE, Scan
 from scanner.ui import failure_of
 
@@ -53,7 +53,7 @@ class Status:
     """
 
     activity: Activity = Activity.NOTHING
-    stage: Stage | None = None
+    stage: ProgressStep | None = None
     message: str = ""
     cancelling: bool = False
     guidance: tuple[str, ...] = ()
@@ -77,7 +77,7 @@ class Page(Protocol):
     def on_frame(self, frame: Frame, camera: str = "") -> None:
         """The camera has taken a frame; of a network it has a name."""
 
-    def on_sight(self, sight: Sight, frame: Frame | None) -> None:
+    def on_sight(self, sight: PairProgress, frame: Frame | None) -> None:
         """A camera of a network has taken a frame in a projector's light, or it is known what it sees there."""
 
     def on_captured(self) -> None:
@@ -105,7 +105,7 @@ class Worker:
     `status` and `settings` are the current ones.
     """
 
-    def __init__(self, settings: Settings, page: Page) -> None:
+    def __init__(self, settings: ConsoleSettings, page: Page) -> None:
         self.settings = settings
         self._page = page
         self._lock = Lock()
@@ -219,17 +219,17 @@ class Worker:
             if out.is_dir():
                 self._page.on_result(out)
 
-    def _live(self, settings: Settings, for_s: float) -> None:
+    def _live(self, settings: ConsoleSettings, for_s: float) -> None:
         """Show what the camera sees, for a while, until something else is wanted, or a setting that an open rig cannot
         change.
         """
         config, chosen = settings.load(), self.settings.pair
         camera = settings.pair[0] if settings.pair else ""
         title = f"What {camera or 'the camera'} sees"
-        self._on_stage(Stage("Preparing the rig"))
+        self._on_stage(ProgressStep("Preparing the rig"))
         with _naming(settings.pair), opened(config) as rig:
             self._page.on_camera(rig)
-            self._on_stage(Stage(title))
+            self._on_stage(ProgressStep(title))
             patterns = config.sequence.patterns(rig.projector.size)
             picture, lost, end_s = None, 0, time.monotonic() + for_s
             while not self._leave_live.is_set():
@@ -245,7 +245,7 @@ class Worker:
                         frame = rig.camera.grab()
                 except FrameLostError as error:
                     lost += 1
-                    self._on_stage(Stage(f"{title} ({lost} frames were lost; the last: {error})"))
+                    self._on_stage(ProgressStep(f"{title} ({lost} frames were lost; the last: {error})"))
                 else:
                     settings, picture = wanted, wanted.picture
                     self._page.on_frame(frame, camera)
@@ -261,7 +261,7 @@ class Worker:
                 "scan console with --calibration FILE"
             )
         out, self._wishes = settings.destination("-live"), Wishes()
-        self._on_stage(Stage("Looking"))
+        self._on_stage(ProgressStep("Looking"))
         try:
             result = scan_live(
                 settings.load(), out, calibration=calibration, wishes=self._wishes, progress=progress, watcher=watcher
@@ -279,7 +279,7 @@ class Worker:
         except Exception:  # nothing that a page cannot show is worth losing a scan
             log.exception("the cloud could not be shown before its result")
 
-    def _on_stage(self, stage: Stage) -> None:
+    def _on_stage(self, stage: ProgressStep) -> None:
         with self._lock:
             self._tell(replace(self.status, stage=stage))
 
@@ -303,7 +303,7 @@ def _naming(pair: Pair | None) -> Iterator[None]:
         raise
 
 
-def _expose(rig: Rig, now: Settings, wanted: Settings) -> bool:
+def _expose(rig: Rig, now: ConsoleSettings, wanted: ConsoleSettings) -> bool:
     """Change the exposure if that is wanted; False if this camera has to be opened anew for it. Raises DeviceError."""
     if wanted.exposure_us == now.exposure_us:
         return True

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from scanner.exporting.formats import DEFAULT_GAMMA as DEFAULT_GAMMA
     from scanner.exporting.formats import DEFAULT_POINTS as DEFAULT_POINTS
     from scanner.exporting.formats import FORMATS as FORMATS
-    from scanner.exporting.formats import Request as Request
+    from scanner.exporting.formats import ExportRequest as ExportRequest
     from scanner.exporting.glb import Piece as Piece
     from scanner.exporting.glb import write_glb as write_glb
     from scanner.exporting.glb import write_pieces as write_pieces
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__, __getattr__, __dir__ = defer_imports(
     __name__,
     {
-        "formats": "DEFAULT_GAMMA DEFAULT_POINTS FORMATS Request",
+        "formats": "DEFAULT_GAMMA DEFAULT_POINTS ExportRequest FORMATS",
         "glb": "Piece write_glb write_pieces",
         "open3d_module": "open3d",
         "poisson": "mesh_of reconstruct_surface",

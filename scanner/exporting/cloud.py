@@ -1,12 +1,12 @@
 """The cloud, unchanged, as binary PLY."""
 
-from scanner.exporting.formats import Request
+from scanner.exporting.formats import ExportRequest
 from scanner.io import copy_given, new_file, read_cloud
 from scanner.quantities import unit_name
 from scanner.results import CLOUD_FILE, read_finished_room, read_finished_scan
 
 
-def export(request: Request) -> list[str]:
+def export(request: ExportRequest) -> list[str]:
     """Copy the cloud. Raises InputError and OSError."""
     room = read_finished_room(request.result)
     if room is None:

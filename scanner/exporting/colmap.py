@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import IDENTITY, Intrinsics, Pose
 from calib.numerics import Floats, Ints
-from scanner.exporting.formats import Request
+from scanner.exporting.formats import ExportRequest
 from scanner.io import new_files, refuse_existing
 from scanner.quantities import unit_name
 from scanner.results import FinishedScan, read_finished_room, read_finished_scan
@@ -43,7 +43,7 @@ class _Chosen:
     points: Ints
 
 
-def export(request: Request) -> list[str]:
+def export(request: ExportRequest) -> list[str]:
     """Write the model. Raises InputError and OSError."""
     room = read_finished_room(request.result)
     if room is None:

@@ -16,7 +16,7 @@ from calib.geometry import Pose
 from calib.numerics import Floats
 from hw.optional_parts import E57
 from scanner.errors import InputError
-from scanner.exporting.formats import Request
+from scanner.exporting.formats import ExportRequest
 from scanner.exporting.units import in_metres
 from scanner.io import new_file
 from scanner.results import FinishedScan, PlacedScan, read_finished_room, read_finished_scan
@@ -24,7 +24,7 @@ from scanner.results import FinishedScan, PlacedScan, read_finished_room, read_f
 _Z_UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
-def export(request: Request) -> list[str]:
+def export(request: ExportRequest) -> list[str]:
     """Write the cloud. Raises InputError and OSError."""
     refuse_without_pye57()
     room = read_finished_room(request.result)

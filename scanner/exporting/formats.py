@@ -11,7 +11,7 @@ DEFAULT_GAMMA = 2.2
 
 
 @dataclass(frozen=True)
-class Request:
+class ExportRequest:
     """An export and its destination. `result` is a result folder; `most_points` applies to formats that hold a subset
     of the points. Of a mapping: `eye`, from where its content is seen, in metres in the axes of its GLB (None: straight
     on), and `gamma` of its blend maps.
@@ -43,7 +43,7 @@ class Format:
         if self.suffixes and out.suffix.lower() not in self.suffixes:
             raise InputError(f"{out}: expected a name that ends in {' or '.join(self.suffixes)}")
 
-    def write(self, request: Request) -> list[str]:
+    def write(self, request: ExportRequest) -> list[str]:
         """Write the export; returns sentences about it. Raises InputError and OSError."""
         sentences: list[str] = import_module(f"scanner.exporting.{self.module}").export(request)
         return sentences

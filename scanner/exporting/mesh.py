@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from scanner.errors import InputError
-from scanner.exporting.formats import Request
+from scanner.exporting.formats import ExportRequest
 from scanner.exporting.glb import write_glb
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh, build_mesh
 from scanner.exporting.units import in_metres
@@ -16,7 +16,7 @@ from scanner.results import OBJECT_FILE, OBJECT_MESH_FILE, ROOM_FILE, ROOM_MESH_
 _OBJ_LINES = 100_000
 
 
-def export(request: Request) -> list[str]:
+def export(request: ExportRequest) -> list[str]:
     """Write the triangles. Raises InputError and OSError."""
     for listing, name in ((ROOM_FILE, ROOM_MESH_FILE), (OBJECT_FILE, OBJECT_MESH_FILE)):
         if (request.result / listing).is_file():
@@ -37,7 +37,7 @@ def export(request: Request) -> list[str]:
     return [f"{len(mesh.triangles):,} triangles between {len(mesh.points):,} points, in {unit}", *remarks]
 
 
-def _as_it_is(request: Request, name: str) -> list[str]:
+def _as_it_is(request: ExportRequest, name: str) -> list[str]:
     """The mesh of a room or a thing is in its result already."""
     if request.out.suffix.lower() != ".glb":
         raise InputError(f"{request.out}: this result's mesh is exported as GLB: choose a name that ends in .glb")

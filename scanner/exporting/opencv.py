@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from calib.geometry import Calibration
-from scanner.exporting.formats import Request
+from scanner.exporting.formats import ExportRequest
 from scanner.io import new_file
 from scanner.quantities import unit_name
 from scanner.results import read_calibration_of
@@ -16,7 +16,7 @@ X_projector = R X_camera + T: camera and projector are the first and the second 
 Distortion: k1 k2 p1 p2 k3. T, and all that is computed with it, is in the unit that 'unit' names."""
 
 
-def export(request: Request) -> list[str]:
+def export(request: ExportRequest) -> list[str]:
     """Write both devices. Raises InputError and OSError."""
     calibration = read_calibration_of(request.result)
     with new_file(request.out, overwrite=request.overwrite) as path:

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.numerics import Floats, Ints
 from scanner.errors import InputError
-from scanner.exporting.formats import Request
+from scanner.exporting.formats import ExportRequest
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA, build_mesh
 from scanner.exporting.units import in_metres
 from scanner.io import new_file, read_room, read_whole
@@ -33,7 +33,7 @@ _RELATIONS = (
 )
 
 
-def export(request: Request) -> list[str]:
+def export(request: ExportRequest) -> list[str]:
     """Write the triangles. Raises InputError and OSError."""
     points, triangles, remarks = _in_metres(request.result)
     points = _MM * points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]  # y up to z up

@@ -3,8 +3,8 @@
 from scanner.importing.capture_folder import write_capture
 from scanner.importing.frame_files import FrameFiles, find_frames
 from scanner.importing.fringe_layouts import fringe_layouts
-from scanner.importing.layout import Given, Layout
+from scanner.importing.layout import Given, FrameLayout
 from scanner.importing.layouts import LAYOUTS
 from scanner.importing.order_description import describe_order
 from scanner.importing.recognition import Recognised, Rejected, recognise
-from scanner.importing.samples import Samples, take_samples
+from scanner.importing.samples import LevelSamples, take_samples

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, Floats
-from scanner.importing.samples import Samples
+from scanner.importing.samples import LevelSamples
 from scanner.importing.unwrapping import agreed, deviates_from_code, repeats_after
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
 
@@ -41,7 +41,7 @@ class Coordinates:
     misfit: float | None = None
 
 
-def coordinates(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Coordinates | str | None:
+def coordinates(samples: LevelSamples, patterns: Sequence[Pattern], axis: Axis) -> Coordinates | str | None:
     """Return the coordinates from the Gray code of an axis, else from its longest fringe or from several close periods.
 
     Returns None if the axis has neither, or a problem in words.
@@ -54,7 +54,7 @@ _Shown = tuple[tuple[int, Pattern], ...]  # frames by their numbers
 
 
 @lru_cache(_KEPT)
-def _coordinates(samples: Samples, shown: _Shown, axis: Axis) -> Coordinates | str | None:
+def _coordinates(samples: LevelSamples, shown: _Shown, axis: Axis) -> Coordinates | str | None:
     """`coordinates` from the frames of the axis, white and black."""
     fringes: dict[float, list[tuple[float, int]]] = defaultdict(list)
     for index, pattern in shown:
@@ -124,7 +124,7 @@ class _Wave:
 
 
 @lru_cache(_KEPT)
-def _wave(samples: Samples, steps: tuple[tuple[float, int], ...]) -> _Wave:
+def _wave(samples: LevelSamples, steps: tuple[tuple[float, int], ...]) -> _Wave:
     """The wave of a fringe's steps: shift and number of the frame."""
     angles = 2 * np.pi * np.array([shift for shift, _ in steps])
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
@@ -134,7 +134,7 @@ def _wave(samples: Samples, steps: tuple[tuple[float, int], ...]) -> _Wave:
     return _Wave(mean, cosine, sine, float(np.median(worst[samples.lit] / samples.swing[samples.lit])))
 
 
-def _misfit(samples: Samples, wave: _Wave, first: _Wave) -> str | None:
+def _misfit(samples: LevelSamples, wave: _Wave, first: _Wave) -> str | None:
     """Why levels are not those of a fringe beside the `first` one."""
     lit, swing = samples.lit, samples.swing
     if wave.misfit > _MOST_MISFIT:
@@ -144,7 +144,7 @@ def _misfit(samples: Samples, wave: _Wave, first: _Wave) -> str | None:
     return None
 
 
-def _phases(samples: Samples, waves: dict[float, _Wave], axis: Axis) -> Coordinates | str | None:
+def _phases(samples: LevelSamples, waves: dict[float, _Wave], axis: Axis) -> Coordinates | str | None:
     if not waves:
         return None
     period, whole = max(waves), repeats_after([*waves])
@@ -157,7 +157,7 @@ def _phases(samples: Samples, waves: dict[float, _Wave], axis: Axis) -> Coordina
     return Coordinates(np.mod(np.arctan2(sine, cosine) / (2 * np.pi), 1) * period, certain, period / _STEPS_OF_CYCLE)
 
 
-def _unwrapped(samples: Samples, waves: dict[float, _Wave], whole: float, axis: Axis) -> Coordinates | str:
+def _unwrapped(samples: LevelSamples, waves: dict[float, _Wave], whole: float, axis: Axis) -> Coordinates | str:
     """Where the fringes of several periods agree, below a coordinate from which on they repeat."""
     if not np.isfinite(whole):
         return f"the fringes of {axis} have no common period"
@@ -174,7 +174,7 @@ def _unwrapped(samples: Samples, waves: dict[float, _Wave], whole: float, axis: 
     return Coordinates(values, certain, found.step, found.misfit)
 
 
-def _code(samples: Samples, shown: _Shown, axis: Axis, numbering: tuple[int, int]) -> Coordinates | str:
+def _code(samples: LevelSamples, shown: _Shown, axis: Axis, numbering: tuple[int, int]) -> Coordinates | str:
     """The code of an axis with its cell and offset, or its error."""
     of_code = {index: p for index, p in shown if isinstance(p, Gray) and (p.cell, p.offset) == numbering}
     frames = {(p.bit, p.inverted): index for index, p in of_code.items()}
@@ -205,7 +205,7 @@ def _code(samples: Samples, shown: _Shown, axis: Axis, numbering: tuple[int, int
 
 
 @lru_cache(_KEPT)
-def _middle(samples: Samples, ends: tuple[int, ...]) -> Floats:
+def _middle(samples: LevelSamples, ends: tuple[int, ...]) -> Floats:
     """Half-way between white and black (H, W), from the numbers of both frames; else between the extremes."""
     extremes = samples.levels[[*ends]] if len(ends) == 2 else samples.levels
     middle: Floats = (extremes.min(axis=0) + extremes.max(axis=0)) / 2
@@ -213,7 +213,7 @@ def _middle(samples: Samples, ends: tuple[int, ...]) -> Floats:
 
 
 @lru_cache(_KEPT)
-def _above_middle(samples: Samples, frame: int, ends: tuple[int, ...]) -> float:
+def _above_middle(samples: LevelSamples, frame: int, ends: tuple[int, ...]) -> float:
     """How far above the middle, in swings, a bit is decided that has no inverse: half-way between its own two levels.
 
     Where a camera's curve is bent, stripes that it does not resolve are brighter than half-way between black and white.

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from scanner.importing.coarse_coordinates import coordinates
-from scanner.importing.samples import Samples
+from scanner.importing.samples import LevelSamples
 from scanner.patterns import Axis, Gray, Pattern
 
 # Pixels at the edge of a stripe are undecided; this is the distance of the decided ones on either side.
@@ -19,7 +19,7 @@ _FEWEST_CHANGES = 30
 _NEAR_CELLS, _NEAR_SHARE = 4, 1 / 64
 
 
-def broken_order(lines: Samples, patterns: Sequence[Pattern], axis: Axis) -> str | None:
+def broken_order(lines: LevelSamples, patterns: Sequence[Pattern], axis: Axis) -> str | None:
     """Return what contradicts patterns along one axis, tested on rows or columns across the stripes; None if nothing
     does.
 

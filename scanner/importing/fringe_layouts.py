@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, product
 
-from scanner.importing.layout import Layout, SequenceOf, Size
+from scanner.importing.layout import FrameLayout, SequenceOf, Size
 from scanner.importing.orders import bits_of, fringe, gray_bits, with_ends, x_and_y
 from scanner.patterns import Axis, Gray, Pattern
 
@@ -25,7 +25,7 @@ _Parts = tuple[Sequence[float], Sequence[Gray]]
 _AlongAxis = Callable[[Axis, int], _Parts]
 
 
-def fringe_layouts(periods: Sequence[float] | None) -> tuple[Layout, ...]:
+def fringe_layouts(periods: Sequence[float] | None) -> tuple[FrameLayout, ...]:
     """Return the layouts with these `periods` per picture, in the order of the frames.
 
     None: try the usual sets of close periods; a single fringe with a Gray code has no usual number.
@@ -41,7 +41,7 @@ def fringe_layouts(periods: Sequence[float] | None) -> tuple[Layout, ...]:
     )
 
 
-def _layout(name: str, title: str, along: Sequence[_AlongAxis], side: int) -> Layout:
+def _layout(name: str, title: str, along: Sequence[_AlongAxis], side: int) -> FrameLayout:
     ways = map(_Direction, along)
     sequences = tuple(
         one
@@ -49,7 +49,7 @@ def _layout(name: str, title: str, along: Sequence[_AlongAxis], side: int) -> La
         for axes, sign, first in product(_AXES, (1, -1), _BEGINNINGS)
         for one in replace(way, axes=axes, sign=sign, first=first).with_ends()
     )
-    return Layout(name, title, "docs/import.md", sequences, ("projector_size",), any_size=(side, side))
+    return FrameLayout(name, title, "docs/import.md", sequences, ("projector_size",), any_size=(side, side))
 
 
 @dataclass(frozen=True)

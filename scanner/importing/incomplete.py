@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from scanner.importing.frame_files import FrameFiles
-from scanner.importing.samples import Samples
+from scanner.importing.samples import LevelSamples
 from scanner.patterns import Black, Pattern, White
 
 # Largest difference of two frames of one picture, in swings of the lit pixels, at nearly all of them.
@@ -20,7 +20,7 @@ _SAME, _NEARLY_ALL = 0.1, 0.98
 MISSING_ENDS: tuple[tuple[Pattern, ...], ...] = ((Black(),), (White(),), (White(), Black()))
 
 
-def without_duplicates(files: FrameFiles, samples: Samples) -> Iterator[tuple[FrameFiles, Samples]]:
+def without_duplicates(files: FrameFiles, samples: LevelSamples) -> Iterator[tuple[FrameFiles, LevelSamples]]:
     """The frames without duplicates of the previous frame: without all of these, or without one.
 
     If nothing is lit, all frames look alike, and none counts as a duplicate. `samples`: of the numbered frames, then of

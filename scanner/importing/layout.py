@@ -39,7 +39,7 @@ SequenceOf = Callable[[Size, int, int], tuple[Pattern, ...]]
 
 
 @dataclass(frozen=True)
-class Layout:
+class FrameLayout:
     """The order of frames of a program (`name`, `title`), and where it is documented (`source`).
 
     `sequences`: of each variant. `needs`: fields of `Given` that the frames cannot determine. `settings`: values from a
@@ -78,7 +78,7 @@ class Candidate:
 
 
 def candidates(
-    layout: Layout, files: FrameFiles, given: Given, missing: tuple[Pattern, ...] = ()
+    layout: FrameLayout, files: FrameFiles, given: Given, missing: tuple[Pattern, ...] = ()
 ) -> Iterator[Candidate]:
     """All variants of a layout for this number of frames, if the `missing` patterns were not taken."""
     if layout.names is not None and not missing:

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from scanner.importing.layout import Given, Layout, SequenceOf, Size
+from scanner.importing.layout import Given, FrameLayout, SequenceOf, Size
 from scanner.importing.orders import bits_of, fringe, gray_bits, other_gray_orders, pairs, with_ends, x_and_y
 from scanner.io import read_text
 from scanner.patterns import Axis, Black, Gray, Pattern, White
@@ -115,19 +115,19 @@ def _sltk_names(files: tuple[Path, ...]) -> tuple[Pattern, ...]:
 _BOTH: tuple[tuple[Axis, ...], ...] = (("x", "y"), ("x",), ("y",))
 
 LAYOUTS = (
-    Layout(
+    FrameLayout(
         "opencv",
         "OpenCV GrayCodePattern",
         "https://github.com/opencv/opencv_contrib, modules/structured_light: graycodepattern.cpp, cap_pattern.cpp",
         with_ends(pairs, first=True, last=True, without=True),
     ),
-    Layout(
+    FrameLayout(
         "procam-calibration",
         "kamino410/procam-calibration",
         "https://github.com/kamino410/procam-calibration, gen_graycode_imgs.py",
         with_ends(pairs, last=True),
     ),
-    Layout(
+    FrameLayout(
         "phase-shifting",
         "kamino410/phase-shifting",
         "https://github.com/kamino410/phase-shifting, phase_shifting.py",
@@ -135,47 +135,47 @@ LAYOUTS = (
         needs=("projector_size", "cell"),
         settings=_phase_shifting_settings,
     ),
-    Layout(
+    FrameLayout(
         "moreno-taubin",
         "Moreno and Taubin, scan3d-capture",
         "http://mesh.brown.edu/calibration, scan3d-capture: ProjectorWidget.cpp, CaptureDialog.cpp",
         (_moreno_taubin,),
         settings=_projector_info,
     ),
-    Layout(
+    FrameLayout(
         "3dunderworld",
         "3DUNDERWORLD SLS",
         "https://github.com/theICTlab/3DUNDERWORLD-SLS-GPU_CPU, GrayCode.cpp, ImageFileProcessor.cpp",
         with_ends(pairs, first=True),
     ),
-    Layout(
+    FrameLayout(
         "sltk",
         "jhdewitt/sltk",
         "https://github.com/jhdewitt/sltk, sampledata/scan_0020/list.yaml",
         (_sltk,),
         names=_sltk_names,
     ),
-    Layout(
+    FrameLayout(
         "slstudio-gray",
         "SLStudio, Gray code",
         "https://github.com/jakobwilm/slstudio, src/codec/CodecGrayCode.cpp",
         tuple(_slstudio_gray(*axes) for axes in _BOTH),
     ),
-    Layout(
+    FrameLayout(
         "slstudio-2x3",
         "SLStudio, two fringes in three steps",
         "https://github.com/jakobwilm/slstudio, src/codec/CodecPhaseShift2x3.cpp, pstools.cpp",
         tuple(_slstudio_fringes(16, 3, *axes) for axes in _BOTH),
         needs=("projector_size",),
     ),
-    Layout(
+    FrameLayout(
         "slstudio-nstep",
         "SLStudio, a fringe in nine steps and one in three",
         "https://github.com/jakobwilm/slstudio, src/codec/CodecPhaseShiftNStep.cpp, pstools.cpp",
         tuple(_slstudio_fringes(8, 9, *axes) for axes in _BOTH),
         needs=("projector_size",),
     ),
-    Layout(
+    FrameLayout(
         "gray",
         "Gray code in another order",
         "docs/import.md",

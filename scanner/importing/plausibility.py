@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats
 from scanner.importing.coarse_coordinates import Coordinates, coordinates
-from scanner.importing.samples import Samples
+from scanner.importing.samples import LevelSamples
 from scanner.importing.unwrapping import PLACES_OF_CYCLE
 from scanner.patterns import Axis, Black, Pattern, White
 
@@ -29,7 +29,7 @@ _MOST_JUMPS = 0.2
 _AS_CLOSE = 1.5
 
 
-class Stage(IntEnum):
+class PlausibilityStage(IntEnum):
     """The stage that a quick look at the frames has reached."""
 
     LIGHT = 0
@@ -42,25 +42,25 @@ class Stage(IntEnum):
 class Objection:
     """Why frames cannot be some patterns, in a few words."""
 
-    stage: Stage
+    stage: PlausibilityStage
     words: str
 
 
-def objection(samples: Samples, patterns: Sequence[Pattern]) -> Objection | None:
+def objection(samples: LevelSamples, patterns: Sequence[Pattern]) -> Objection | None:
     """Why the frames cannot be these patterns; None if they may be."""
     if np.count_nonzero(samples.lit) < _FEWEST:
-        return Objection(Stage.LIGHT, "the frames hardly differ")
+        return Objection(PlausibilityStage.LIGHT, "the frames hardly differ")
     known = {type(p): samples.levels[index] for index, p in enumerate(patterns) if isinstance(p, White | Black)}
     if White in known and Black in known:
         contrast = (known[White] - known[Black])[samples.lit] / samples.swing[samples.lit]
         if np.median(contrast) < _LEAST_CONTRAST:
-            return Objection(Stage.LIGHT, "the white frame is not brighter than the black one")
+            return Objection(PlausibilityStage.LIGHT, "the white frame is not brighter than the black one")
     found: dict[Axis, Coordinates] = {}
     axes: tuple[Axis, ...] = ("x", "y")
     for axis in axes:
         seen = coordinates(samples, patterns, axis)
         if isinstance(seen, str):
-            return Objection(Stage.SIGNALS, seen)
+            return Objection(PlausibilityStage.SIGNALS, seen)
         if seen is not None:
             found[axis] = seen
     # A mirrored capture with x before y looks like one with y before x and the camera on its side.
@@ -70,7 +70,7 @@ def objection(samples: Samples, patterns: Sequence[Pattern]) -> Objection | None
     return _scattered(found) or against or (_nonsense(samples, found) if len(found) > 1 else None)
 
 
-def best_fitting(samples: Samples, orders: Sequence[Sequence[Pattern]]) -> list[int]:
+def best_fitting(samples: LevelSamples, orders: Sequence[Sequence[Pattern]]) -> list[int]:
     """The numbers of the orders that fit the frames best, if only fringes decide; others fit partly by chance."""
     axes: tuple[Axis, ...] = ("x", "y")
     misfits = []
@@ -87,10 +87,10 @@ def _along_the_other(found: dict[Axis, Coordinates]) -> Objection | None:
         steps = [np.abs(after - before) for before, after in _adjacent(seen.values, seen.certain)]
         across, down = (float(np.mean(np.minimum(step, farthest))) if len(step) else 0.0 for step in steps)
         if (across < down) == (axis == "x"):
-            return Objection(Stage.GEOMETRY, f"the stripes run the other way than those of {axis}")
+            return Objection(PlausibilityStage.GEOMETRY, f"the stripes run the other way than those of {axis}")
         right, below = (after - before for before, after in _adjacent(seen.values, seen.certain))
         if seen.misfit is not None and np.median(right if axis == "x" else below) < 0:
-            return Objection(Stage.GEOMETRY, f"the fringes of {axis} run backwards")
+            return Objection(PlausibilityStage.GEOMETRY, f"the fringes of {axis} run backwards")
     return None
 
 
@@ -98,9 +98,9 @@ def _scattered(found: dict[Axis, Coordinates]) -> Objection | None:
     for axis, seen in found.items():
         steps = np.concatenate([np.abs(after - before) for before, after in _adjacent(seen.values, seen.certain)])
         if not len(steps) or np.median(steps) > max(_MOST_APART * _spread(seen), 1.0):
-            return Objection(Stage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
+            return Objection(PlausibilityStage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
         if seen.misfit is not None and np.mean(steps > 2 * PLACES_OF_CYCLE * seen.steps) > _MOST_JUMPS:
-            return Objection(Stage.NEIGHBOURS, f"the fringes of {axis} contradict each other: other --periods?")
+            return Objection(PlausibilityStage.NEIGHBOURS, f"the fringes of {axis} contradict each other: other --periods?")
     return None
 
 
@@ -108,18 +108,18 @@ def _spread(seen: Coordinates) -> float:
     return float(np.ptp(np.percentile(seen.values[seen.certain], (5, 95))))
 
 
-def _nonsense(samples: Samples, found: dict[Axis, Coordinates]) -> Objection | None:
+def _nonsense(samples: LevelSamples, found: dict[Axis, Coordinates]) -> Objection | None:
     x, y = found["x"], found["y"]
     both = x.certain & y.certain
     if np.count_nonzero(both) < _FEWEST:
-        return Objection(Stage.SIGNALS, "too few pixels have both codes")
+        return Objection(PlausibilityStage.SIGNALS, "too few pixels have both codes")
     upright = _upright(x.values, y.values, both)
     if upright < _LEAST_UPRIGHT:
-        return Objection(Stage.GEOMETRY, f"the codes are mirrored at {1 - upright:.0%} of the pixels")
+        return Objection(PlausibilityStage.GEOMETRY, f"the codes are mirrored at {1 - upright:.0%} of the pixels")
     projector_px = np.stack([x.values[both] / x.steps, y.values[both] / y.steps], axis=1)
     on_lines = share_on_epipolar_lines(samples.camera_px[both], projector_px)
     if on_lines < _LEAST_ON_LINES:
-        return Objection(Stage.GEOMETRY, f"only {on_lines:.0%} of the pixels obey one epipolar geometry")
+        return Objection(PlausibilityStage.GEOMETRY, f"only {on_lines:.0%} of the pixels obey one epipolar geometry")
     return None
 
 

@@ -14,10 +14,10 @@ from scanner.errors import InputError
 from scanner.importing.continuity import broken_order
 from scanner.importing.frame_files import FrameFiles
 from scanner.importing.incomplete import MISSING_ENDS, without_duplicates
-from scanner.importing.layout import MOST_FRAMES, Candidate, Given, Layout, Size, candidates
+from scanner.importing.layout import MOST_FRAMES, Candidate, Given, FrameLayout, Size, candidates
 from scanner.importing.plausibility import best_fitting, objection, share_on_epipolar_lines
 from scanner.importing.projector_size import extents_of, possible_sizes
-from scanner.importing.samples import Samples, take_lines
+from scanner.importing.samples import LevelSamples, take_lines
 from scanner.io import read_image
 from scanner.patterns import Axis, Gray, Pattern, Phase
 from scanner.ui import Progress
@@ -37,7 +37,7 @@ class Recognised:
     `likely`: whether such projectors are sold, and how many ends of their codes were seen.
     """
 
-    layout: Layout
+    layout: FrameLayout
     files: tuple[Path, ...]
     patterns: tuple[Pattern, ...]
     projector_size: Size
@@ -49,14 +49,14 @@ class Recognised:
 class Rejected:
     """A layout that does not fit, and the reason; `lacking`: it may fit with further options; `certain`: it would."""
 
-    layout: Layout
+    layout: FrameLayout
     why: str
     lacking: bool = False
     certain: bool = False
 
 
 def recognise(
-    files: FrameFiles, layouts: Sequence[Layout], given: Given, look: Callable[[], Samples], progress: Progress
+    files: FrameFiles, layouts: Sequence[FrameLayout], given: Given, look: Callable[[], LevelSamples], progress: Progress
 ) -> tuple[list[Recognised], list[Rejected]]:
     """Which layouts fit the frames, and why the others do not. Raises InputError for a file beside the frames.
 
@@ -83,12 +83,12 @@ class _Attempt:
     """What to try next: of some `files`, whose samples are had by `look`, without the patterns that are `missing`."""
 
     files: FrameFiles
-    layouts: Sequence[Layout]
-    look: Callable[[], Samples]
+    layouts: Sequence[FrameLayout]
+    look: Callable[[], LevelSamples]
     missing: tuple[Pattern, ...] = ()
 
 
-def _less_usual(files: FrameFiles, layouts: Sequence[Layout], look: Callable[[], Samples]) -> Iterator[_Attempt]:
+def _less_usual(files: FrameFiles, layouts: Sequence[FrameLayout], look: Callable[[], LevelSamples]) -> Iterator[_Attempt]:
     usual, last = ([layout for layout in layouts if layout.last == is_last] for is_last in (False, True))
     for missing in MISSING_ENDS:
         yield _Attempt(files, usual, look, missing)
@@ -100,15 +100,15 @@ def _less_usual(files: FrameFiles, layouts: Sequence[Layout], look: Callable[[],
     yield _Attempt(files, last, look)
 
 
-def _unchanged(samples: Samples) -> Samples:
+def _unchanged(samples: LevelSamples) -> LevelSamples:
     return samples
 
 
 def _tried(
     files: FrameFiles,
-    layouts: Sequence[Layout],
+    layouts: Sequence[FrameLayout],
     given: Given,
-    look: Callable[[], Samples],
+    look: Callable[[], LevelSamples],
     judge: "_Judge",
     missing: tuple[Pattern, ...] = (),
 ) -> tuple[list[Recognised], list[Rejected]]:
@@ -146,10 +146,10 @@ class _Judge:
         self._progress = progress
         self._lenient = lenient
         self._found: dict[tuple[tuple[Pattern, ...], Size], tuple[Matches, float] | str] = {}
-        self._lines: dict[tuple[tuple[Path, ...], Axis], Samples] = {}
+        self._lines: dict[tuple[tuple[Path, ...], Axis], LevelSamples] = {}
 
     def judge(
-        self, layout: Layout, candidate: Candidate, given: Given, camera_size: Size
+        self, layout: FrameLayout, candidate: Candidate, given: Given, camera_size: Size
     ) -> list[Recognised] | Rejected:
         """Whether the frames decode in this order, and the projectors that may have shown them."""
         if layout.lacks(given):
@@ -188,7 +188,7 @@ class _Judge:
             for fit, reason in zip(sizes, reasons, strict=True)
         ]
 
-    def _by_one_axis(self, layout: Layout, candidate: Candidate, axis: Axis) -> list[Recognised] | Rejected:
+    def _by_one_axis(self, layout: FrameLayout, candidate: Candidate, axis: Axis) -> list[Recognised] | Rejected:
         if (candidate.files, axis) not in self._lines:
             self._lines[candidate.files, axis] = take_lines(candidate.files, axis)
         broken = broken_order(self._lines[candidate.files, axis], candidate.patterns, axis)
@@ -226,7 +226,7 @@ class _Judge:
         return matches, beyond / (beyond + np.count_nonzero(decoding.reasons == MaskReason.KEPT))
 
 
-def _recognised(layout: Layout, candidate: Candidate, size: Size, how: str) -> Recognised:
+def _recognised(layout: FrameLayout, candidate: Candidate, size: Size, how: str) -> Recognised:
     return Recognised(layout, candidate.files, candidate.for_size(size), size, how)
 
 

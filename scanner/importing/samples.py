@@ -22,7 +22,7 @@ _LINES = 96
 
 
 @dataclass(frozen=True, eq=False)  # a key by identity, of what is computed from it
-class Samples:
+class LevelSamples:
     """Grey levels (frames, H, W) where some rows and columns cross, at `camera_px` (H, W, 2).
 
     `camera_size` is (width, height).
@@ -44,7 +44,7 @@ class Samples:
         return self.swing > max(_LIT * float(np.percentile(self.swing, _WELL_LIT)), 1.0)
 
 
-def take_samples(files: Sequence[Path]) -> Samples:
+def take_samples(files: Sequence[Path]) -> LevelSamples:
     """Read all frames. Raises InputError if one is no image, or of another size or kind than the first."""
     first = read_image(files[0])
     height, width = first.shape[:2]
@@ -58,7 +58,7 @@ def take_samples(files: Sequence[Path]) -> Samples:
     return _sampled(files, first, rows, columns)
 
 
-def take_lines(files: Sequence[Path], axis: Axis) -> Samples:
+def take_lines(files: Sequence[Path], axis: Axis) -> LevelSamples:
     """Some rows of every frame with all of their pixels, or some columns: along which the coordinate of an axis grows.
 
     Raises InputError as `take_samples`.
@@ -70,7 +70,7 @@ def take_lines(files: Sequence[Path], axis: Axis) -> Samples:
     return _sampled(files, first, rows, columns)
 
 
-def _sampled(files: Sequence[Path], first: Image, rows: Ints, columns: Ints) -> Samples:
+def _sampled(files: Sequence[Path], first: Image, rows: Ints, columns: Ints) -> LevelSamples:
     height, width = first.shape[:2]
     levels = []
     for path in files:
@@ -82,7 +82,7 @@ def _sampled(files: Sequence[Path], first: Image, rows: Ints, columns: Ints) -> 
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
         levels.append(grey[np.ix_(rows, columns)].astype(np.float64))
     camera_px = np.stack(np.meshgrid(columns, rows), axis=-1).astype(np.float64)
-    return Samples(np.stack(levels), camera_px, (width, height))
+    return LevelSamples(np.stack(levels), camera_px, (width, height))
 
 
 def _kind(image: Image) -> str:

@@ -29,7 +29,7 @@ def repeats_after(periods: Sequence[float]) -> float:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class FringeAgreement:
     """`coordinate` (N,), accurate to a `step`, in pixels; `misfit`: one minus the cosine of the phase residuals."""
 
     coordinate: Floats
@@ -37,7 +37,7 @@ class Agreement:
     misfit: float
 
 
-def agreed(phases: Floats, periods: Sequence[float], whole: float) -> Agreement | str:
+def agreed(phases: Floats, periods: Sequence[float], whole: float) -> FringeAgreement | str:
     """The positions below `whole` where fringes have the phases (K, N), in cycles.
 
     Or the error: phases that fit no position, or a fringe with another origin.
@@ -57,7 +57,7 @@ def agreed(phases: Floats, periods: Sequence[float], whole: float) -> Agreement 
     left *= np.exp(-1j * np.angle(left.sum(axis=0)))
     if np.abs(np.angle(left.mean(axis=1))).max() / (2 * np.pi) > _OFF:
         return "do not begin at the picture's edge"
-    return Agreement(found, step, float(1 - np.median(fit)))
+    return FringeAgreement(found, step, float(1 - np.median(fit)))
 
 
 def _best(phases: Floats, there: NDArray[np.float32]) -> tuple[NDArray[np.int64], Floats]:

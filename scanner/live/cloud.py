@@ -84,7 +84,7 @@ class LiveCloud:
         return self.foreign > _MOST_FOREIGN or self.share(MaskReason.INCONSISTENT) > _MOST_CONTRADICTING
 
 
-class Decoder:
+class LiveDecoder:
     """The decoder of one rig and one sequence. It has no state: the reference of a round is an argument."""
 
     def __init__(self, sequence: LiveSequence, look: FirstLook, calibration: Calibration) -> None:

@@ -17,7 +17,7 @@ from hw.rig import Rig
 from scanner.checking import opened
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.live.cloud import Decoder, LiveCloud
+from scanner.live.cloud import LiveDecoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import joining, keep_station
 from scanner.live.rounds import best_sequence, take_rounds
@@ -235,7 +235,7 @@ def _watch(
 
     watch(
         take_rounds(rig, sequence, seen.response),
-        Decoder(sequence, seen, found.calibration),
+        LiveDecoder(sequence, seen, found.calibration),
         on_round,
         lambda: keeper.has_ended or (one_only and keeper.begun > begun),
         found.account,

@@ -16,7 +16,7 @@ from scanner.live.sequence import LiveSequence
 from scanner.live.watching import Newest
 from scanner.objects import advice_on, brief, outside_text, stations_outside
 from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CLOUD_FILE, Decoded, GivenMatches
-from scanner.rooms import Comparison
+from scanner.rooms import StationComparison
 
 _FEWEST = 4  # stations of a thing; with fewer, background and thing are not separable
 _LEAVING_S = 60.0
@@ -46,7 +46,7 @@ def joining(
     raised, because the stations are safe.
     """
     slot = Newest[Sequence[Decoded]]()
-    comparison = Comparison() if of_room else Comparison(compare=joined_text)
+    comparison = StationComparison() if of_room else StationComparison(compare=joined_text)
 
     def join() -> None:
         while (captures := slot.take()) is not None:

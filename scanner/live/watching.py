@@ -10,7 +10,7 @@ from threading import Condition, Thread
 from typing import Generic, TypeVar
 
 from hw.errors import DeviceError
-from scanner.live.cloud import Decoder, LiveCloud, Round
+from scanner.live.cloud import LiveDecoder, LiveCloud, Round
 
 T = TypeVar("T")
 
@@ -86,7 +86,7 @@ class Account:
         return sum(self.delays_s) / max(1, len(self.delays_s))
 
 
-def proven(decoder: Decoder, taken: Round, earlier: list[LiveCloud]) -> LiveCloud | None:
+def proven(decoder: LiveDecoder, taken: Round, earlier: list[LiveCloud]) -> LiveCloud | None:
     """The cloud of a round that agrees with an `earlier` one, the last good one or one that was dropped after it, which
     this brings up to date; None where it agrees with none, as the first.
 
@@ -105,7 +105,7 @@ def proven(decoder: Decoder, taken: Round, earlier: list[LiveCloud]) -> LiveClou
 
 def watch(
     taken: Generator[Round | None],
-    decoder: Decoder,
+    decoder: LiveDecoder,
     on_round: Callable[[LiveCloud | None, Account], None],
     has_ended: Callable[[], bool],
     account: Account,

@@ -16,7 +16,7 @@ from scanner.measuring.measurements import (
     AngleMeasurement,
     DistanceMeasurement,
     FaceMeasurement,
-    Scene,
+    MeasuredScene,
     angle_at,
     distance_between,
 )

@@ -13,7 +13,7 @@ import numpy as np
 from calib.diagnostics import Budget
 from scanner.errors import InputError
 from scanner.measuring.measure import measure
-from scanner.measuring.measurements import FitErrors, Scene
+from scanner.measuring.measurements import FitErrors, MeasuredScene
 from scanner.quantities import parse_length
 from scanner.results import FinishedScan
 
@@ -84,7 +84,7 @@ def parse_ball_bar(text: str, unit: str) -> BallBar:
     return BallBar((first, second), length)
 
 
-def errors_of(name: str, scan: FinishedScan, scene: Scene, ball_bar: BallBar) -> tuple[Error, ...]:
+def errors_of(name: str, scan: FinishedScan, scene: MeasuredScene, ball_bar: BallBar) -> tuple[Error, ...]:
     """Compute the errors of one placement. Raises NoMeasurementError if a sphere is not found."""
     measured = measure(scan, scene, list(ball_bar.diameters), [])
     errors: list[Error] = []

@@ -29,14 +29,14 @@ NAMES = {
 
 
 @dataclass(frozen=True)
-class Row:
+class ErrorRow:
     """One error, or the largest of a kind, as text: its name, its cells, and a remark."""
 
     name: str
     cells: tuple[str, ...]
 
 
-def summary(acceptance: Acceptance) -> Iterator[Row]:
+def summary(acceptance: Acceptance) -> Iterator[ErrorRow]:
     """Return for each kind of error the largest, where it occurred, and how many of the number that the standard
     requires were measured.
     """
@@ -46,10 +46,10 @@ def summary(acceptance: Acceptance) -> Iterator[Row]:
         if worst is not None:
             count = len(acceptance.of(quantity))
             cells = (_value(worst, unit), _sigma(worst, unit), f"{count} of {wanted}")
-            yield Row(f"{quantity}: {name}", cells)
+            yield ErrorRow(f"{quantity}: {name}", cells)
 
 
-def rows(acceptance: Acceptance, quantity: str) -> Iterator[Row]:
+def rows(acceptance: Acceptance, quantity: str) -> Iterator[ErrorRow]:
     """Return the rows of one kind of error."""
     unit = shown_unit(acceptance.unit)
     for error in acceptance.of(quantity):
@@ -57,7 +57,7 @@ def rows(acceptance: Acceptance, quantity: str) -> Iterator[Row]:
         over = plain(error.value / sigma, 1, signed=True) if sigma else ""
         dispersion = "" if error.dispersion is None else unit.error(error.dispersion)
         cells = (_value(error, unit), _sigma(error, unit), over, dispersion)
-        yield Row(f"{error.placement}, {error.of}", cells)
+        yield ErrorRow(f"{error.placement}, {error.of}", cells)
 
 
 def remarks(acceptance: Acceptance) -> Iterator[str]:

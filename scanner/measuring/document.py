@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from scanner.measuring.measurements import FORM_SHARE, FitErrors, Measurements, Scene
+from scanner.measuring.measurements import FORM_SHARE, FitErrors, Measurements, MeasuredScene
 
 MEASURE_FILE = "measure.json"
 FORMAT = 1
@@ -72,7 +72,7 @@ def _document(measured: Measurements, result: str) -> dict[str, Any]:
     }
 
 
-def _lengths(scene: Scene) -> dict[str, Any]:
+def _lengths(scene: MeasuredScene) -> dict[str, Any]:
     known = scene.lengths
     if known is None:
         return {"sentence": scene.sentence, "relative_sigma": None, "at": None}

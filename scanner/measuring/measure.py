@@ -7,7 +7,7 @@ import numpy as np
 from calib.geometry import Calibration
 from scanner.errors import InputError
 from scanner.io import read_matches
-from scanner.measuring.measurements import DistanceMeasurement, Measurements, Scene, distance_between
+from scanner.measuring.measurements import DistanceMeasurement, Measurements, MeasuredScene, distance_between
 from scanner.measuring.planes import measure_scene
 from scanner.measuring.spheres import centre_distances, measure_spheres
 from scanner.results import CALIBRATION_FILE, FinishedScan, read_uncertainty
@@ -15,14 +15,14 @@ from scanner.results import CALIBRATION_FILE, FinishedScan, read_uncertainty
 PixelPair = tuple[float, float, float, float]
 
 
-def read_scene(folder: Path, calibration: Calibration) -> Scene:
+def read_scene(folder: Path, calibration: Calibration) -> MeasuredScene:
     """Return the scene that a result with that calibration has measured, as its report states it. Raises InputError."""
     uncertainty = read_uncertainty(folder / CALIBRATION_FILE, calibration)
     return measure_scene(read_matches(folder), calibration, uncertainty)
 
 
 def measure(
-    scan: FinishedScan, scene: Scene, sphere_diameters: list[float], pixel_pairs: list[PixelPair]
+    scan: FinishedScan, scene: MeasuredScene, sphere_diameters: list[float], pixel_pairs: list[PixelPair]
 ) -> Measurements:
     """A sphere for each diameter (in the scan's unit), a distance for each pair of camera pixels, and the `scene`.
 
@@ -33,7 +33,7 @@ def measure(
     return Measurements(scan.unit, scene, spheres, centre_distances(spheres) + distances)
 
 
-def _pixel_distance(scan: FinishedScan, scene: Scene, pair: PixelPair) -> DistanceMeasurement:
+def _pixel_distance(scan: FinishedScan, scene: MeasuredScene, pair: PixelPair) -> DistanceMeasurement:
     ends = (_point_at(scan, pair[:2]), _point_at(scan, pair[2:]))
     if ends[0] == ends[1]:
         raise InputError("--distance: both pixels are the same")

@@ -118,7 +118,7 @@ class DistanceMeasurement:
 
 
 @dataclass(frozen=True)
-class Scene:
+class MeasuredScene:
     """What every result has measured: faces and angles, if it has faces; the `errors` that all its points share; how
     well `lengths` are known, None where the calibration's covariance is not.
     """
@@ -139,7 +139,7 @@ class Measurements:
     """Everything that was measured in one result."""
 
     unit: str
-    scene: Scene
+    scene: MeasuredScene
     spheres: tuple[SphereMeasurement, ...] = ()
     distances: tuple[DistanceMeasurement, ...] = ()
 
@@ -153,7 +153,7 @@ class Measurements:
 _LEAST_ACROSS = 1e-6
 
 
-def distance_between(scan: FinishedScan, scene: Scene, ends: tuple[int, int]) -> DistanceMeasurement:
+def distance_between(scan: FinishedScan, scene: MeasuredScene, ends: tuple[int, int]) -> DistanceMeasurement:
     """Between two different points of a scan, by number."""
     points = scan.points[[*ends]]
     apart = points[1] - points[0]
@@ -163,7 +163,7 @@ def distance_between(scan: FinishedScan, scene: Scene, ends: tuple[int, int]) ->
     return DistanceMeasurement(names, points, distance, _budget(scan, scene, ends, np.concatenate([-along, along])))
 
 
-def angle_at(scan: FinishedScan, scene: Scene, ends: tuple[int, int, int]) -> PointAngle:
+def angle_at(scan: FinishedScan, scene: MeasuredScene, ends: tuple[int, int, int]) -> PointAngle:
     """Measure the angle at the second of three different points of a scan, given by index, between the lines to the
     others.
     """
@@ -179,7 +179,7 @@ def angle_at(scan: FinishedScan, scene: Scene, ends: tuple[int, int, int]) -> Po
     return PointAngle(points, angle_deg, _budget(scan, scene, ends, gradient))
 
 
-def _budget(scan: FinishedScan, scene: Scene, points: Sequence[int], gradient: Floats) -> Budget | None:
+def _budget(scan: FinishedScan, scene: MeasuredScene, points: Sequence[int], gradient: Floats) -> Budget | None:
     """Return the error budget of a number that depends on points (n) by `gradient` (3 n,); None where their noise is
     unknown.
     """

@@ -20,7 +20,7 @@ from calib.diagnostics import (
 from calib.geometry import Calibration, Matches, Size, intersect
 from calib.numerics import Floats, Ints, blocks
 from calib.pointcloud import NONE, Plane, dihedral_angle_rad, dihedral_gradients, fit_plane
-from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, FitErrors, Scene
+from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, FitErrors, MeasuredScene
 from scanner.measuring.scene_errors import known_lengths, rig_errors
 from scanner.quantities import FACE_NAMES
 from scanner.rendering import cells_over, one_in_cells
@@ -32,7 +32,7 @@ _FEWEST_POINTS = 100
 _MOST_POINTS = 100_000
 
 
-def measure_scene(matches: Matches, calibration: Calibration, uncertainty: Uncertainty | None) -> Scene:
+def measure_scene(matches: Matches, calibration: Calibration, uncertainty: Uncertainty | None) -> MeasuredScene:
     """Measure the scene from all matches of a scan, or those of `one_in_each_cell`; no faces if they have none."""
     part = one_in_each_cell(matches, calibration.camera.size)
     errors = rig_errors(calibration, uncertainty)
@@ -47,7 +47,7 @@ def measure_scene(matches: Matches, calibration: Calibration, uncertainty: Uncer
         errors = _anchored(fitted, errors, to_corner)
         fitted = [_with_spreads(face, errors) for face in fitted]
     faces = tuple(_measured(face) for face in fitted)
-    return Scene(faces, tuple(_angle(*pair) for pair in combinations(fitted, 2)), errors, known_lengths(points, errors))
+    return MeasuredScene(faces, tuple(_angle(*pair) for pair in combinations(fitted, 2)), errors, known_lengths(points, errors))
 
 
 def one_in_each_cell(matches: Matches, size: Size) -> Matches:

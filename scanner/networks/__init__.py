@@ -3,6 +3,6 @@
 from scanner.networks.captures import Pair
 from scanner.networks.graph import network_graph
 from scanner.networks.job import scan_network
-from scanner.networks.sights import OnSight, Sight, Watched, frames_in, in_light
+from scanner.networks.sights import OnSight, PairProgress, Watched, frames_in, in_light
 from scanner.networks.solve import KnownDistance
 from scanner.networks.verdict import verdict_on

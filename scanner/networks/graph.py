@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from markupsafe import Markup, escape
 
-from scanner.networks.sights import Sight
+from scanner.networks.sights import PairProgress
 from scanner.quantities import percent
 from scanner.rendering import BLUE, VERMILION, css_colour
 from scanner.shown_text import shortened
@@ -17,7 +17,7 @@ _FIRST, _PITCH, _FARTHEST = 44, 54, 0.6
 _LABEL_HEIGHT = 18
 
 
-def network_graph(sights: Sequence[Sight]) -> Markup:
+def network_graph(sights: Sequence[PairProgress]) -> Markup:
     """Draw an edge for each pair, as wide as the part of its picture that the camera sees; dashed until that is known.
 
     `sights` are of at least one pair. A page may give its colours as `--page`, `--accent` and `--second`.
@@ -57,7 +57,7 @@ def _row(names: Sequence[str], name: str, height: float) -> float:
     return height * (names.index(name) + 0.5) / len(names)
 
 
-def _stroke(sight: Sight) -> str:
+def _stroke(sight: PairProgress) -> str:
     if sight.failure:
         return f'style="stroke: var(--second, {css_colour(VERMILION)})" stroke-width="2" stroke-dasharray="2 4"'
     if sight.share is not None:
@@ -65,7 +65,7 @@ def _stroke(sight: Sight) -> str:
     return f'stroke="currentColor" stroke-width="{2 if sight.done else 1}" stroke-dasharray="5 5" stroke-opacity="0.6"'
 
 
-def _state(sight: Sight) -> str:
+def _state(sight: PairProgress) -> str:
     """In one word."""
     if sight.failure:
         return "✕"
@@ -74,7 +74,7 @@ def _state(sight: Sight) -> str:
     return f"{sight.done}/{sight.total}" if sight.done else "…"
 
 
-def _sentence(sight: Sight) -> str:
+def _sentence(sight: PairProgress) -> str:
     return f"{sight.name}: {sight.text}"
 
 

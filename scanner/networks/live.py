@@ -10,7 +10,7 @@ from hw.real_devices import PairSettings
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.networks.captures import Captures, Pair, labelled
-from scanner.networks.sights import OnSight, Sight, Watched, nobody
+from scanner.networks.sights import OnSight, PairProgress, Watched, nobody
 from scanner.pipeline import PlannedCapture, take_together
 from scanner.results import CAPTURES_FOLDER, Decoded
 from scanner.ui import Progress
@@ -45,7 +45,7 @@ def take_pairs(pairs: Mapping[Pair, Config], folder: Path, progress: Progress, o
     decoded: dict[Pair, Decoded] = {}
     sizes: dict[str, Size] = {}
     for pair in pairs:
-        on_sight(Sight(*pair), None)
+        on_sight(PairProgress(*pair), None)
     wanted = {pair: PairSettings(own.required_rig, own.camera_size, own.projector_size) for pair, own in pairs.items()}
     with ExitStack() as devices:
         with progress.step("Opening all devices"):

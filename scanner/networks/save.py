@@ -11,7 +11,7 @@ from calib.pointcloud import colours_of
 from scanner.configuration import Config
 from scanner.io import write_room, write_room_ply
 from scanner.networks.graph import network_graph
-from scanner.networks.sights import Sight
+from scanner.networks.sights import PairProgress
 from scanner.networks.solve import SolvedNetwork
 from scanner.quantities import shown_unit
 from scanner.rendering import page
@@ -139,7 +139,7 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Net
         provenance=provenance(path.parent, config),
         subtitle=f"{len(cameras)} cameras, {len(network.surfaces)} projectors, {len(cloud.points):,} points.",
         devices=rows,
-        graph=network_graph([Sight.of(pair, capture) for pair, capture in network.captures.decoded.items()]),
+        graph=network_graph([PairProgress.of(pair, capture) for pair, capture in network.captures.decoded.items()]),
         unit=network.unit,
     )
     path.write_text(text, encoding="utf-8")

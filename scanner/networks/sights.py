@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Sight:
+class PairProgress:
     """A camera in a projector's light, of which `done` of `total` frames are taken.
 
     `share`: of the camera's pixels, those that are matched; None until the capture is decoded. `failure`: why there is
@@ -32,7 +32,7 @@ class Sight:
     failure: str = ""
 
     @classmethod
-    def of(cls, pair: Pair, capture: Decoded) -> "Sight":
+    def of(cls, pair: Pair, capture: Decoded) -> "PairProgress":
         """What a decoded capture shows."""
         count = len(capture.metadata.patterns)
         return cls(*pair, count, count, len(capture.matches) / prod(capture.metadata.camera_size))
@@ -57,10 +57,10 @@ def in_light(camera: str, projector: str) -> str:
     return f"{camera} in the light of {projector}"
 
 
-OnSight = Callable[[Sight, Frame | None], object]  # with the frame that has just been taken, if one has
+OnSight = Callable[[PairProgress, Frame | None], object]  # with the frame that has just been taken, if one has
 
 
-def nobody(_: Sight, __: Frame | None) -> None:
+def nobody(_: PairProgress, __: Frame | None) -> None:
     """Does nothing."""
 
 
@@ -72,7 +72,7 @@ class Watched(AbstractContextManager["Watched"]):
     """
 
     def __init__(self, pairs: Sequence[Pair], progress: Progress, on_sight: OnSight) -> None:
-        self._sights = {pair: Sight(*pair) for pair in pairs}
+        self._sights = {pair: PairProgress(*pair) for pair in pairs}
         self._progress, self._on_sight = progress, on_sight
 
     def track(self, items: Iterable[T], total: int, _: str) -> Iterator[T]:
@@ -88,7 +88,7 @@ class Watched(AbstractContextManager["Watched"]):
 
     def decoded(self, pair: Pair, capture: Decoded) -> None:
         """All of it is known."""
-        self._tell(Sight.of(pair, capture))
+        self._tell(PairProgress.of(pair, capture))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -104,7 +104,7 @@ class Watched(AbstractContextManager["Watched"]):
         cameras, projectors = (" and ".join(dict.fromkeys(names)) for names in zip(*self._sights, strict=True))
         return in_light(cameras, projectors)
 
-    def _tell(self, sight: Sight, frame: Frame | None = None) -> None:
+    def _tell(self, sight: PairProgress, frame: Frame | None = None) -> None:
         self._sights[sight.camera, sight.projector] = sight
         self._on_sight(sight, frame)
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.networks import Disagreement
+from calib.networks import DepthDisagreement
 from scanner.networks.solve import SolvedNetwork
 from scanner.quantities import percent
 from scanner.results import MEASUREMENT_GRADE, Grade, Verdict
@@ -104,7 +104,7 @@ def _doubts(network: SolvedNetwork) -> Iterator[_Finding]:
         yield "fair", f"{names}, but no two cameras see the same light, so nothing checks it.", ""
 
 
-def _disagreements(network: SolvedNetwork) -> list[Disagreement]:
+def _disagreements(network: SolvedNetwork) -> list[DepthDisagreement]:
     """The largest first."""
     disagreements = (disagreement for surface in network.surfaces.values() for disagreement in surface.disagreements)
     return sorted(disagreements, key=lambda disagreement: -disagreement.relative)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import Calibration
 from calib.numerics import Floats
-from calib.objects import Alternative, Turntable
+from calib.objects import AlternativePose, Turntable
 from scanner.exporting import Mesh
 from scanner.rooms import OutlierStation, Station
 
@@ -32,7 +32,7 @@ class SolvedObject:
     apart: tuple[NDArray[np.float32], ...]
     turntable: Turntable | None
     axis: Floats | None
-    alternatives: tuple[Alternative, ...]
+    alternatives: tuple[AlternativePose, ...]
     loose: tuple[int, ...]
     outlier_stations: tuple[OutlierStation, ...]
     rests: float
@@ -44,7 +44,7 @@ class SolvedObject:
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class ObjectSurface:
     """The `mesh`, in the thing's frame; `closed`: without holes.
 
     `volume`, if it is closed, and `area` with their standard deviations, in the mesh's unit. `bridged`: share of the

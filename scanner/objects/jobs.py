@@ -6,7 +6,7 @@ from pathlib import Path
 from calib.refusal import NoMeasurementError
 from scanner.configuration import Config
 from scanner.exporting import open3d
-from scanner.objects.contents import SolvedObject, Surface
+from scanner.objects.contents import SolvedObject, ObjectSurface
 from scanner.objects.save import save_object
 from scanner.objects.solve import solve_object
 from scanner.objects.verdict import verdict_on
@@ -24,7 +24,7 @@ def scan_object(
     fill: bool = False,
     overwrite: bool = False,
     terminal: Terminal = SILENT,
-) -> tuple[SolvedObject, Surface | None]:
+) -> tuple[SolvedObject, ObjectSurface | None]:
     """Join `stations` of a thing, in any order; or capture that many, between which it is turned.
 
     Raises InputError, DeviceError, RefusalError.

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from calib.pointcloud import MergedCloud
-from scanner.objects.contents import SolvedObject, Surface
+from scanner.objects.contents import SolvedObject, ObjectSurface
 from scanner.objects.verdict import verdict_on
 from scanner.quantities import percent, shown_unit
 from scanner.rendering import page, render, view_along
-from scanner.reporting import Picture, ScaledMap, picture
+from scanner.reporting import PageImage, ScaledMap, picture
 from scanner.results import Provenance
 from scanner.rooms.page_parts import (
     HALF_PX,
@@ -36,7 +36,7 @@ _FILES = {
 }
 
 
-def write_page(path: Path, solved: SolvedObject, surface: Surface | None, cloud: MergedCloud, made: Provenance) -> None:
+def write_page(path: Path, solved: SolvedObject, surface: ObjectSurface | None, cloud: MergedCloud, made: Provenance) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
     text = page(
         "object.html",
@@ -55,7 +55,7 @@ def write_page(path: Path, solved: SolvedObject, surface: Surface | None, cloud:
     path.write_text(text, encoding="utf-8")
 
 
-def _views(solved: SolvedObject, cloud: MergedCloud) -> list[Picture]:
+def _views(solved: SolvedObject, cloud: MergedCloud) -> list[PageImage]:
     """From four sides, and from above with the cameras."""
     frusta = camera_frusta(solved.stations, solved.calibration.camera, cloud, _FRUSTUM_OF_SIZE)
     pictures = [picture(render(cloud, view_along(np.array([1.0, 0.8, -0.9]), _UP), _VIEW, frusta), "the thing, above")]
@@ -66,7 +66,7 @@ def _views(solved: SolvedObject, cloud: MergedCloud) -> list[Picture]:
     return pictures
 
 
-def _measured(solved: SolvedObject, surface: Surface | None) -> Iterator[tuple[str, str, str]]:
+def _measured(solved: SolvedObject, surface: ObjectSurface | None) -> Iterator[tuple[str, str, str]]:
     """Name, value with sigma, meaning."""
     name = shown_unit(solved.unit).name
     factor = shown_unit(solved.unit).factor

@@ -7,7 +7,7 @@ import numpy as np
 
 from scanner.configuration import Config
 from scanner.io import write_room, write_room_ply
-from scanner.objects.contents import SolvedObject, Surface
+from scanner.objects.contents import SolvedObject, ObjectSurface
 from scanner.objects.page import write_page
 from scanner.objects.surface import cloud_of, surface_of
 from scanner.objects.verdict import verdict_on
@@ -24,7 +24,7 @@ from scanner.ui import Progress
 
 def save_object(
     solved: SolvedObject, folder: Path, config: Config, progress: Progress, *, fill: bool
-) -> Surface | None:
+) -> ObjectSurface | None:
     """Write everything. Raises OSError, InputError if Open3D cannot be loaded."""
     made = provenance(folder, config)
     with progress.step("Writing the stations"):
@@ -42,7 +42,7 @@ def save_object(
     return surface
 
 
-def entries_of(solved: SolvedObject, surface: Surface | None) -> dict[str, Any]:
+def entries_of(solved: SolvedObject, surface: ObjectSurface | None) -> dict[str, Any]:
     """object.yaml: X_thing = rotation X_camera + translation."""
     entries: dict[str, Any] = {
         "unit": solved.unit,

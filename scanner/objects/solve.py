@@ -13,7 +13,7 @@ from calib.objects import (
     JointEstimate,
     Registered,
     Turntable,
-    View,
+    ObjectView,
     confirmed,
     estimate_jointly,
     find_turntable,
@@ -133,7 +133,7 @@ def advice_on(outside: Sequence[OutlierStation]) -> str:
     return "Turn the thing less between stations, so that each sees half of what the one before saw."
 
 
-def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrinsics) -> tuple[list[View | None], float]:
+def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrinsics) -> tuple[list[ObjectView | None], float]:
     """Views of the thing alone, and the share of the visible surfaces that is static."""
     depths = [cloud.points[..., 2] for cloud in clouds]
     noise = [relative_noise(cloud.points, cloud.normals) for cloud in clouds]
@@ -160,7 +160,7 @@ def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrins
 def _finished(
     clouds: Sequence[Cloud],
     captures: Sequence[Decoded],
-    members: Sequence[tuple[int, View]],
+    members: Sequence[tuple[int, ObjectView]],
     registered: Registered,
     joint: JointEstimate,
     turntable: Turntable | None,

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from calib.numerics import Bools, Floats, Ints
 from calib.pointcloud import MergedCloud
 from scanner.exporting import Mesh, mesh_of, reconstruct_surface
-from scanner.objects.contents import SolvedObject, Surface
+from scanner.objects.contents import SolvedObject, ObjectSurface
 from scanner.rooms import CAMERA_FROM_ROOM, blended_of, part_of
 
 _AROUND = 3.0  # over the size: a surface seen from one half closes within a cube of this size
@@ -25,7 +25,7 @@ def cloud_of(solved: SolvedObject) -> MergedCloud:
     return blended_of(solved.stations, solved.calibration, [station.cloud.points for station in solved.stations])
 
 
-def surface_of(solved: SolvedObject, cloud: MergedCloud, *, fill: bool) -> Surface | None:
+def surface_of(solved: SolvedObject, cloud: MergedCloud, *, fill: bool) -> ObjectSurface | None:
     """None if nothing hangs together. Its frame is the mesh's of rooms: a level camera's, y down."""
     mesh = _closed(cloud)
     apart, _ = cKDTree(cloud.points).query(mesh.points)
@@ -47,7 +47,7 @@ def surface_of(solved: SolvedObject, cloud: MergedCloud, *, fill: bool) -> Surfa
         sigma = float(np.hypot(area * normal_sigma, _BULGE * bridged**1.5))
         volume = volume_of(mesh.points, mesh.triangles), sigma
     size = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
-    return Surface(mesh, closed, volume, (area, 4 * area * normal_sigma / size + bridged), bridged / area)
+    return ObjectSurface(mesh, closed, volume, (area, 4 * area * normal_sigma / size + bridged), bridged / area)
 
 
 def is_closed(triangles: Ints) -> bool:

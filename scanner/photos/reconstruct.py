@@ -13,7 +13,7 @@ from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Matches, Size
 from calib.numerics import Bools
 from calib.plane_segmentation import find_same_faces, find_sparse_faces
-from calib.pointcloud import Cloud, MergedCloud, View, build_cloud, merged
+from calib.pointcloud import Cloud, MergedCloud, CornerView, build_cloud, merged
 from calib.self_calibration import PrincipalPoint, SelfCalibration, anywhere, calibrate_photos
 from scanner.capture import CaptureMetadata
 from scanner.configuration import Config, ScaleSettings
@@ -244,5 +244,5 @@ def _triangulate(pairs: Sequence[SelfCalibrated], reached: list[Stage]) -> Scan:
 def _merged(pairs: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> MergedCloud:
     """All points in the corner's frame: every pair has the first photo's, so how they belong together is known."""
     newest = pairs[-1]
-    views = [View(cloud.points, None, newest.calibration.camera, newest.corner) for cloud in clouds]
+    views = [CornerView(cloud.points, None, newest.calibration.camera, newest.corner) for cloud in clouds]
     return merged(clouds, views, (0,) * len(clouds))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from calib.finding import Datum, Finding, FindingKind, Severity
 from calib.numerics import Bools, Floats, Image
-from calib.pointcloud import Cloud, MergedCloud, Order, View, find_order, merged
+from calib.pointcloud import Cloud, MergedCloud, Order, CornerView, find_order, merged
 from scanner.results import SelfCalibrated
 
 # Corners whose angles differ by more than this are different ones.
@@ -63,10 +63,10 @@ def _one_corner(captures: Sequence[SelfCalibrated]) -> bool:
     return bool(np.ptp(angles, axis=0).max() < _SAME_ANGLE_DEG)
 
 
-def _view(capture: SelfCalibrated, cloud: Cloud) -> View:
+def _view(capture: SelfCalibrated, cloud: Cloud) -> CornerView:
     texture = capture.decoded.texture
     light = None if texture is None else brightness(texture)
-    return View(cloud.points, light, capture.calibration.camera, capture.corner)
+    return CornerView(cloud.points, light, capture.calibration.camera, capture.corner)
 
 
 def brightness(texture: Image) -> NDArray[np.float32]:
@@ -88,7 +88,7 @@ def _why_not(order: Order) -> Finding:
     )
 
 
-def _agreement(clouds: Sequence[Cloud], views: Sequence[View], cloud: MergedCloud) -> Finding:
+def _agreement(clouds: Sequence[Cloud], views: Sequence[CornerView], cloud: MergedCloud) -> Finding:
     apart = consistency(clouds, views, cloud.turns)
     agreement, data = "", dict[str, Datum](points=float(len(cloud.points)))
     if len(apart):
@@ -105,7 +105,7 @@ def _agreement(clouds: Sequence[Cloud], views: Sequence[View], cloud: MergedClou
     )
 
 
-def consistency(clouds: Sequence[Cloud], views: Sequence[View], turns: Sequence[int]) -> Floats:
+def consistency(clouds: Sequence[Cloud], views: Sequence[CornerView], turns: Sequence[int]) -> Floats:
     """Distances of points of each capture from the surface of another one there, relative to their depth, (M,).
 
     Only points where the other saw about the same depth count, because others may be hidden.
@@ -125,7 +125,7 @@ def _sample(cloud: Cloud) -> Floats:
     return points[:: max(1, len(points) // _CONSISTENCY_SAMPLE)]
 
 
-def _sees(view: View, points: Floats) -> Bools:
+def _sees(view: CornerView, points: Floats) -> Bools:
     """Which points (N, 3) of its frame a view saw, (N,), and nothing before or behind them."""
     nearest, farthest, sees = view.depths_around(points)
     with np.errstate(invalid="ignore"):
@@ -133,7 +133,7 @@ def _sees(view: View, points: Floats) -> Bools:
     return seen
 
 
-def _from_surface(cloud: Cloud, view: View, points: Floats) -> Floats:
+def _from_surface(cloud: Cloud, view: CornerView, points: Floats) -> Floats:
     """Select the points (N, 3) in a view's frame that the view saw. Return their relative distance along its normals,
     (M,).
     """

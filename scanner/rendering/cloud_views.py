@@ -25,7 +25,7 @@ _SAMPLE, _COUNTED_ROWS = 50_000, 8
 
 
 @dataclass(frozen=True)
-class View:
+class OrthographicView:
     """An orthographic view; `axes` (3, 3): the picture's right, down and forward as unit rows, in the cloud's frame."""
 
     axes: Floats
@@ -39,15 +39,15 @@ class Wireframe:
     colour: RGB
 
 
-def view_along(forward: Floats, up: Floats) -> View:
+def view_along(forward: Floats, up: Floats) -> OrthographicView:
     """The view along `forward` (3,) in which `up` (3,) points to the top of the picture."""
     z = forward / np.linalg.norm(forward)
     x = np.cross(z, up)
     x = x / np.linalg.norm(x)
-    return View(np.stack([x, np.cross(z, x), z]))
+    return OrthographicView(np.stack([x, np.cross(z, x), z]))
 
 
-def standard_views(forward: Floats, up: Floats) -> dict[str, View]:
+def standard_views(forward: Floats, up: Floats) -> dict[str, OrthographicView]:
     """Oblique, top and front views of what lies along `forward` (3,), with `up` (3,) at the top."""
     up = up / np.linalg.norm(up)
     level = forward - (forward @ up) * up
@@ -85,7 +85,7 @@ def rig_frusta(calibration: Calibration, length: float, camera_colour: RGB, proj
     return [Wireframe(frustum(calibration.camera, length), camera_colour), projector]
 
 
-def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wireframes: list[Wireframe]) -> RGBA:
+def render(cloud: Cloud | MergedCloud, view: OrthographicView, size: tuple[int, int], wireframes: list[Wireframe]) -> RGBA:
     """A picture (height, width, 4) of at most `size` = (width, height), transparent where empty.
 
     Surfaces seen from behind are not drawn, so that walls do not hide the inside of a room.
@@ -106,7 +106,7 @@ def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wirefr
     return halved(picture)
 
 
-def _facing(cloud: Cloud | MergedCloud, view: View, most: float) -> tuple[Floats32, Ints]:
+def _facing(cloud: Cloud | MergedCloud, view: OrthographicView, most: float) -> tuple[Floats32, Ints]:
     """Points (N, 3) in the view's frame, `most` of them evenly out of all, and which of the cloud's they are (N,)."""
     is_image = cloud.points.ndim == 3
     points, normals = (values if is_image else values[None] for values in (cloud.points, cloud.normals))
@@ -130,7 +130,7 @@ def _bounds(facing: Floats32, drawn: list[Floats]) -> tuple[Floats, Floats]:
     return low - margin, high + margin
 
 
-def _shaded(cloud: Cloud | MergedCloud, index: Ints, view: View) -> NDArray[np.uint8]:
+def _shaded(cloud: Cloud | MergedCloud, index: Ints, view: OrthographicView) -> NDArray[np.uint8]:
     """Colours (N, 3) of some points, stretched to the full range, under a lamp above the viewer's left shoulder."""
     colours, normals = cloud.colours.reshape(-1, 3), cloud.normals.reshape(-1, 3)
     right, down, forward = view.axes

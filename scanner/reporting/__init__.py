@@ -2,6 +2,6 @@
 
 from scanner.reporting.contents import CaptureRow, JointCaptures, ReportInput
 from scanner.reporting.page import write_report
-from scanner.reporting.sections import Picture, ScaledMap, picture
+from scanner.reporting.sections import PageImage, ScaledMap, picture
 from scanner.reporting.svg import HEIGHT, WIDTH, Plot, Scale
 from scanner.reporting.verdict import verdict

@@ -11,7 +11,7 @@ from calib.numerics import Ints
 from calib.pointcloud import CloudStatistics, MergedCloud
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureMetadata
-from scanner.measuring import Scene, measure_scene, one_in_each_cell, sample_cells
+from scanner.measuring import MeasuredScene, measure_scene, one_in_each_cell, sample_cells
 from scanner.results import Provenance, Reconstructed, Refused, findings_on
 
 
@@ -94,7 +94,7 @@ class ReportInput:
         return self.sample[np.flatnonzero(face >= 0) if face is not None else slice(0)]
 
     @cached_property
-    def scene(self) -> Scene | None:
+    def scene(self) -> MeasuredScene | None:
         """Faces, angles, and how well lengths are known, as every page has them; None after a refusal."""
         found = self.reconstructed
         return measure_scene(self.sample, found.calibration, found.uncertainty) if found else None

@@ -6,7 +6,7 @@ import numpy as np
 
 from scanner.rendering import render, standard_views
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.sections import Picture, view
+from scanner.reporting.sections import PageImage, view
 
 _VIEW_SIZE = (960, 640)
 _UP = np.array([0.0, 0.0, 1.0])
@@ -42,7 +42,7 @@ def joint_rows(report: ReportInput) -> tuple[JointRow, ...]:
     )
 
 
-def merged_views(report: ReportInput) -> tuple[Picture, ...]:
+def merged_views(report: ReportInput) -> tuple[PageImage, ...]:
     """Pictures of the merged cloud, seen along the floor's diagonal into the corner, and from above."""
     cloud = report.joint.merged
     if cloud is None or not len(cloud.points):

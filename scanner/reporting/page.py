@@ -13,7 +13,7 @@ from scanner.reporting.flatness import flatness
 from scanner.reporting.focal import focal_length
 from scanner.reporting.joint import joint_rows, merged_views
 from scanner.reporting.residuals import face_residuals, misses
-from scanner.reporting.sections import Faces, Picture
+from scanner.reporting.sections import FacesPicture, PageImage
 from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
@@ -85,8 +85,8 @@ def write_report(path: Path, report: ReportInput) -> None:
 
 
 def _most_telling(
-    views: Sequence[Picture], merged: Sequence[Picture], faces: Faces | None, scene: Picture | None, **_: object
-) -> list[Picture]:
+    views: Sequence[PageImage], merged: Sequence[PageImage], faces: FacesPicture | None, scene: PageImage | None, **_: object
+) -> list[PageImage]:
     """The pictures of the first printed page."""
     seen = faces.picture if faces else scene
     return [*(merged or views)[:1], *([seen] if seen else [])]

@@ -23,7 +23,7 @@ _SHOWN_SHARE = 99
 
 
 @dataclass(frozen=True)
-class Residuals:
+class ResidualMaps:
     """`maps` with a caption each, a `histogram` of them, and the result of the test as a sentence."""
 
     maps: tuple[tuple[ScaledMap, str], ...]
@@ -34,15 +34,15 @@ class Residuals:
 
 
 @dataclass(frozen=True)
-class Misses:
+class RayGaps:
     """The distances between the two rays of the matches, and how many matches were kept."""
 
-    residuals: Residuals
+    residuals: ResidualMaps
     statistics: CloudStatistics
     fates: tuple[LegendEntry, ...]
 
 
-def face_residuals(report: ReportInput) -> Residuals | None:
+def face_residuals(report: ReportInput) -> ResidualMaps | None:
     """Matches on the three faces against the corner, in x and y of the projector; None without a solution."""
     solution, sample = report.solution, report.on_faces
     if solution is None or sample.face is None or not len(sample):
@@ -73,7 +73,7 @@ def _off_the_corner(matches: Matches, face: Ints, calibration: Calibration, corn
     return matches.projector_px - predicted
 
 
-def misses(report: ReportInput) -> Misses | None:
+def misses(report: ReportInput) -> RayGaps | None:
     """Compute where and by how much the rays of the matches miss each other; None where nothing was measured that could
     miss.
     """
@@ -94,16 +94,16 @@ def misses(report: ReportInput) -> Misses | None:
     label = f"miss ({report.metadata.pixels})"
     histogram = plots.residual_histogram([residual_px], statistics.decoder_px, limit, label)
     residuals = _judged(((painted, ""),), histogram, pixel, residual_px, report.metadata.camera_size)
-    return Misses(residuals, statistics, _outcome_legend(statistics))
+    return RayGaps(residuals, statistics, _outcome_legend(statistics))
 
 
 def _judged(
     drawn: tuple[tuple[ScaledMap, str], ...], histogram: Markup, pixel: Floats, residual_px: Floats, size: Size
-) -> Residuals:
+) -> ResidualMaps:
     """Residuals (N,) or (N, 2) at camera pixels (N, 2)."""
     found = spatial_correlation(pixel, residual_px, max(4.0, size.width * _CELL_OF_WIDTH))
     total_px = float(np.sqrt(np.sum(residual_px**2) / max(1, len(residual_px))))
-    return Residuals(drawn, histogram, total_px, statement(found), found is not None and found.structured)
+    return ResidualMaps(drawn, histogram, total_px, statement(found), found is not None and found.structured)
 
 
 def statement(found: SpatialCorrelation | None) -> str:

@@ -69,7 +69,7 @@ _REASONS = {
 
 
 @dataclass(frozen=True)
-class Picture:
+class PageImage:
     """An image for the page: a data URI, its size in pixels, and a description for screen readers.
 
     `on_paper`: that of the first printed page, if it may be there.
@@ -80,7 +80,7 @@ class Picture:
     height: int
     alt: str
     caption: str = ""
-    on_paper: "Picture | None" = None
+    on_paper: "PageImage | None" = None
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,10 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Faces:
+class FacesPicture:
     """The three faces over the white frame, with edges and letters drawn on top."""
 
-    picture: Picture
+    picture: PageImage
     overlay: maps.Overlay
     legend: tuple[LegendEntry, ...]
 
@@ -113,7 +113,7 @@ class Faces:
 class ScaledMap:
     """A map with a continuous legend."""
 
-    picture: Picture
+    picture: PageImage
     scale: maps.ColourScale
 
 
@@ -121,7 +121,7 @@ class ScaledMap:
 class Mask:
     """Which pixels were matched, and why the others were not."""
 
-    picture: Picture
+    picture: PageImage
     legend: tuple[LegendEntry, ...]
 
 
@@ -146,7 +146,7 @@ def _angles(report: ReportInput) -> Iterator[Quantity]:
         yield Quantity(f"angle {'–'.join(angle.faces)}", angle.angle_deg, "°", angle.budget.sigma)
 
 
-def faces(report: ReportInput) -> Faces | None:
+def faces(report: ReportInput) -> FacesPicture | None:
     """The faces over the white frame; None if none were found."""
     face, reconstructed = report.matches.face, report.reconstructed
     if face is None or not len(report.on_faces):
@@ -161,7 +161,7 @@ def faces(report: ReportInput) -> Faces | None:
         report.solution.corner if report.solution else None,
         reconstructed.calibration.camera if reconstructed else None,
     )
-    return Faces(
+    return FacesPicture(
         photo(painted, "the camera's image with the faces of the corner in colour"),
         overlay,
         tuple(
@@ -171,7 +171,7 @@ def faces(report: ReportInput) -> Faces | None:
     )
 
 
-def scene(report: ReportInput) -> Picture | None:
+def scene(report: ReportInput) -> PageImage | None:
     """The camera's image of the lit scene, where no faces were found to show in it."""
     texture = report.outcome.decoded.texture
     if texture is None or len(report.on_faces):
@@ -179,7 +179,7 @@ def scene(report: ReportInput) -> Picture | None:
     return photo(photograph(texture), "the camera's image under white light")
 
 
-def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
+def cloud_views(report: ReportInput) -> tuple[PageImage, ...]:
     """Pictures of the cloud from the side, above and the front."""
     if report.reconstructed is None or not len(report.in_cloud):
         return ()
@@ -188,7 +188,7 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
     views = standard_views(forward, upright(report))
     frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(report, cloud), BLUE, VERMILION)
 
-    def show(name: str) -> Picture:
+    def show(name: str) -> PageImage:
         drawn = render(cloud, views[name], _VIEW_SIZES[name], [] if name == "front" else frusta)
         caption = _caption(name, report.metadata) + (_CORNER_CAPTIONS[name] if report.solution else "")
         return view(drawn, name, "the point cloud", caption)
@@ -319,23 +319,23 @@ def _kind(pattern: Pattern) -> str:
     return type(pattern).__name__.lower()
 
 
-def picture(pixels: Pixels | IndexedPicture, alt: str, *, caption: str = "") -> Picture:
+def picture(pixels: Pixels | IndexedPicture, alt: str, *, caption: str = "") -> PageImage:
     """Pixels as an image for the page."""
-    return Picture(png_uri(pixels), pixels.shape[1], pixels.shape[0], alt, caption)
+    return PageImage(png_uri(pixels), pixels.shape[1], pixels.shape[0], alt, caption)
 
 
-def view(pixels: Pixels, name: str, of: str, caption: str) -> Picture:
+def view(pixels: Pixels, name: str, of: str, caption: str) -> PageImage:
     """A view of a cloud, RGBA, as an image for the page; the oblique one is for paper, too."""
     alt = f"{of}, {name} view"
     drawn = picture(pixels, alt, caption=caption)
     return replace(drawn, on_paper=_printed(pixels, alt, caption)) if name == "oblique" else drawn
 
 
-def photo(pixels: Pixels, alt: str) -> Picture:
+def photo(pixels: Pixels, alt: str) -> PageImage:
     """A photograph as an image for the page, and for paper."""
-    return Picture(jpeg_uri(pixels), pixels.shape[1], pixels.shape[0], alt, on_paper=_printed(pixels, alt))
+    return PageImage(jpeg_uri(pixels), pixels.shape[1], pixels.shape[0], alt, on_paper=_printed(pixels, alt))
 
 
-def _printed(pixels: Pixels, alt: str, caption: str = "") -> Picture:
+def _printed(pixels: Pixels, alt: str, caption: str = "") -> PageImage:
     small = on_paper(pixels)
-    return Picture(jpeg_uri(small), small.shape[1], small.shape[0], alt, caption)
+    return PageImage(jpeg_uri(small), small.shape[1], small.shape[0], alt, caption)

@@ -19,7 +19,7 @@ from scanner.results.unfinished import (
     STATE,
     Claim,
     LockedError,
-    State,
+    FolderState,
     finish_publishing,
     partial_of,
     publish,
@@ -73,12 +73,12 @@ def _settle(partial: Path, out: Path, *, in_the_way: bool) -> list[str]:
         claim.release()
 
 
-def _judged(state: State | None, partial: Path, out: Path) -> list[str]:
-    if state in (State.WHOLE, State.REPLACING):
-        place = out if _may_take(out, replacing=state is State.REPLACING) else unused(out)
+def _judged(state: FolderState | None, partial: Path, out: Path) -> list[str]:
+    if state in (FolderState.WHOLE, FolderState.REPLACING):
+        place = out if _may_take(out, replacing=state is FolderState.REPLACING) else unused(out)
         publish(partial, place)
         return [f"A scan was killed after its result was complete: it is in {place} now."]
-    if state is State.LIVE and frames_in(partial):
+    if state is FolderState.LIVE and frames_in(partial):
         return [f"A scan was killed. {kept_text(keep_recording(partial, out))}"]
     shutil.rmtree(partial)
     return [f"The remains of {out}, left by a killed program, held no frames and were removed."]

@@ -26,7 +26,7 @@ from scanner.results.names import (
     refuse_to_lose,
     unused,
 )
-from scanner.results.unfinished import STATE, Claim, LockedError, State, partial_of, publish
+from scanner.results.unfinished import STATE, Claim, LockedError, FolderState, partial_of, publish
 from scanner.ui import LogFile
 
 log = logging.getLogger(__name__)
@@ -90,7 +90,7 @@ class OutputFolder:
         self._new_parents = missing_folders(self.out.parent)
         try:
             self._claim = self._claimed()
-            self._claim.say(State.LIVE if self._keep_capture else State.MADE)
+            self._claim.say(FolderState.LIVE if self._keep_capture else FolderState.MADE)
         except LockedError as error:
             raise InputError(f"{self._shown}: {error}") from error
         except OSError as error:
@@ -168,7 +168,7 @@ class OutputFolder:
                     refuse_to_lose(place, overwrite=self._overwrite)
                 except InputError as error:  # another scan was faster
                     place, trouble, replacing = unused(place), error, False
-            self._claim.say(State.REPLACING if replacing else State.WHOLE)
+            self._claim.say(FolderState.REPLACING if replacing else FolderState.WHOLE)
             publish(self.folder, place)
         except OSError as error:
             raise StorageError(f"{cannot_write(self._shown, error)}; the result is in {self.folder}") from error

@@ -24,7 +24,7 @@ STATE = ".scan-unfinished"
 _PARTIAL, _REPLACED = ".partial", ".replaced"
 
 
-class State(StrEnum):
+class FolderState(StrEnum):
     """The progress of the folder; `REPLACING`: it is complete and takes the place of an older result."""
 
     LIVE = "live"
@@ -85,12 +85,12 @@ class Claim:
             ) from error
 
     @property
-    def state(self) -> State | None:
+    def state(self) -> FolderState | None:
         """What it says; None where that was not written any more."""
         words = self._words()
-        return State(words[0]) if words and words[0] in list(State) else None
+        return FolderState(words[0]) if words and words[0] in list(FolderState) else None
 
-    def say(self, state: State) -> None:
+    def say(self, state: FolderState) -> None:
         """Write the state, all of it or nothing. Raises OSError."""
         os.pwrite(self._file, f"{state:<9} {os.getpid():<10}\n".encode(), 0)
         os.fsync(self._file)

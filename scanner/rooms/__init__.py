@@ -6,7 +6,7 @@ from scanner.rooms.corner_rig import rig_from_corners
 from scanner.rooms.document import given_rig, read_stations
 from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.jobs import scan_room, writing_refusals
-from scanner.rooms.live import Comparison, check_stations, take_object_stations
+from scanner.rooms.live import StationComparison, check_stations, take_object_stations
 from scanner.rooms.mesh import CAMERA_FROM_ROOM
 from scanner.rooms.solve import solve_room
 from scanner.rooms.textures import part_of

@@ -26,7 +26,7 @@ _FARTHEST = 1.5  # largest difference of logarithms; pictures that differ more d
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class PointsInPicture:
     """A `picture` (H, W, 3), and at which of its `pixels` (N, 2) each point is, of those that it has `seen` (N,)."""
 
     picture: NDArray[np.uint8]
@@ -34,7 +34,7 @@ class Shown:
     seen: Bools
 
 
-def in_common_light(photographs: Sequence[Shown]) -> list[NDArray[np.uint8]]:
+def in_common_light(photographs: Sequence[PointsInPicture]) -> list[NDArray[np.uint8]]:
     """The pictures (H, W, 3), brighter and darker, not beyond white; the points and the sizes are the same in all."""
     if not photographs:
         return []
@@ -61,7 +61,7 @@ def in_common_light(photographs: Sequence[Shown]) -> list[NDArray[np.uint8]]:
     return pictures
 
 
-def _fields(photographs: Sequence[Shown], step: float, nodes: tuple[int, int]) -> Floats:
+def _fields(photographs: Sequence[PointsInPicture], step: float, nodes: tuple[int, int]) -> Floats:
     """Logarithms of the gains at the nodes, (pictures, rows, columns)."""
     size = nodes[0] * nodes[1]
     rows, columns, values, right = [], [], [], []
@@ -88,7 +88,7 @@ def _fields(photographs: Sequence[Shown], step: float, nodes: tuple[int, int]) -
     return fields.reshape(len(photographs), *nodes)
 
 
-def _above_white(photograph: Shown, field: Floats, step: float, nodes: tuple[int, int]) -> float:
+def _above_white(photograph: PointsInPicture, field: Floats, step: float, nodes: tuple[int, int]) -> float:
     """By how much the logarithm of its brightest seen points exceeds white after the gains (rows, columns)."""
     lit = np.flatnonzero(photograph.seen)
     node, weight = _between(photograph.pixels[lit], step, nodes)
@@ -96,7 +96,7 @@ def _above_white(photograph: Shown, field: Floats, step: float, nodes: tuple[int
     return float(np.quantile(light, _BRIGHTEST) - np.log(255.0))
 
 
-def _light(photograph: Shown, some: Ints) -> Floats:
+def _light(photograph: PointsInPicture, some: Ints) -> Floats:
     column, row = np.rint(photograph.pixels[some]).astype(np.int64).T
     light: Floats = photograph.picture[row, column].astype(np.float64).mean(axis=1) + _DARK
     return light

@@ -49,7 +49,7 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
     captures: list[Decoded] = []
     corners: dict[int, SeenCorner] = {}
     refusal: RefusalError | None = None
-    comparison = Comparison()
+    comparison = StationComparison()
     for step, capture in enumerate(_taken(config, number, folder, terminal, "Move the rig as a whole")):
         captures.append(capture)
         try:
@@ -90,7 +90,7 @@ def _taken(config: Config, number: int, folder: Path, terminal: Terminal, what_t
 
 
 @dataclass
-class Comparison:
+class StationComparison:
     """Comparison of the newest station with those before it, or with as many of the last ones as time allows.
 
     `patience_s`: largest duration. `pair_s`: duration per pair the last time. `compare`: makes the sentences, by

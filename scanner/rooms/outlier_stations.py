@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.geometry import Calibration
 from calib.numerics import Floats
-from calib.rooms import LeftOut, Registration
+from calib.rooms import UnregisteredStation, Registration
 from scanner.results import Decoded
 from scanner.rooms.contents import OutlierStation, Station
 
@@ -52,7 +52,7 @@ def widest_unseen_deg(stations: Sequence[Station]) -> float:
     return float(np.degrees(np.max(np.diff(np.append(angles, angles[0] + 2 * np.pi)))))
 
 
-def _left_out(name: str, outlier: LeftOut, all_round: bool) -> OutlierStation:
+def _left_out(name: str, outlier: UnregisteredStation, all_round: bool) -> OutlierStation:
     if outlier.cause == "another rig":
         return OutlierStation(name, "changed rig", f"its rig was changed: {outlier.reason}")
     if outlier.cause == "empty":

@@ -8,7 +8,7 @@ import numpy as np
 from calib.pointcloud import MergedCloud
 from scanner.quantities import percent, plain, rig_quantities, shown_unit
 from scanner.rendering import page, render, view_along
-from scanner.reporting import Picture, ScaledMap, picture
+from scanner.reporting import PageImage, ScaledMap, picture
 from scanner.results import Provenance
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.floorplan import FloorPlan
@@ -61,7 +61,7 @@ def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud
     path.write_text(text, encoding="utf-8")
 
 
-def _views(room: SolvedRoom, cloud: MergedCloud) -> list[Picture]:
+def _views(room: SolvedRoom, cloud: MergedCloud) -> list[PageImage]:
     """From two sides above, and from straight above; walls that one would look at from behind are left out."""
     frusta = camera_frusta(room.stations, room.calibration.camera, cloud, _FRUSTUM_OF_SIZE)
     up = np.array([0.0, 0.0, 1.0])

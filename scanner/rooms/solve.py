@@ -12,12 +12,12 @@ from calib.pointcloud import build_cloud
 from calib.refinement import Cells, Knowledge, into_cells
 from calib.refusal import RefusalError
 from calib.rooms import (
-    Disagreement,
+    SurfaceDisplacement,
     Group,
     Registration,
     RigPrior,
     RoomEstimate,
-    Sight,
+    LabelledPicture,
     StationView,
     changed_extrinsics,
     disagreements,
@@ -174,7 +174,7 @@ def _checked_against_surfaces(
     return by_surfaces, True
 
 
-def _apart(worst: Disagreement) -> str:
+def _apart(worst: SurfaceDisplacement) -> str:
     if worst.sigmas > 1:
         return f"they would need {worst.turn_deg:.2g}° more of rotation, far beyond what the matches' sigmas allow"
     return f"{worst.apart:.0%} of the surface that two of them saw is at different places"
@@ -214,9 +214,9 @@ def _estimated(members: Sequence[CaptureView], group: Group, start: RigStart, co
     )
 
 
-def _sight(seen: CaptureView) -> Sight | None:
+def _sight(seen: CaptureView) -> LabelledPicture | None:
     picture = seen.decoded.texture
-    return None if picture is None else Sight.of(picture, seen.view.labels)
+    return None if picture is None else LabelledPicture.of(picture, seen.view.labels)
 
 
 def _cells(matches: Matches, plane: Ints) -> Cells:

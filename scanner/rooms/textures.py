@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.geometry import Calibration, Intrinsics
 from calib.numerics import Bools, Floats, Ints
 from scanner.exporting import Mesh, Piece
-from scanner.rooms.common_light import Shown, in_common_light
+from scanner.rooms.common_light import PointsInPicture, in_common_light
 from scanner.rooms.contents import Station
 from scanner.rooms.mesh import CAMERA_FROM_ROOM, filled
 
@@ -32,7 +32,7 @@ def textured(stations: Sequence[Station], calibration: Calibration, mesh: Mesh) 
     owner, largest = np.full(len(mesh.triangles), -1), np.zeros(len(mesh.triangles))
     for number, station in enumerate(pictured):
         pixels, seen = _looked_at(station, points, camera, near)
-        shown.append(Shown(_without_gaps(station.cloud.colours, station.cloud.there), pixels, seen))
+        shown.append(PointsInPicture(_without_gaps(station.cloud.colours, station.cloud.there), pixels, seen))
         corners = pixels[mesh.triangles]
         one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         area = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])

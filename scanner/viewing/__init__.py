@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from scanner.viewing.result import PlacedRig as PlacedRig
     from scanner.viewing.result import ViewedCloud as ViewedCloud
     from scanner.viewing.result import ViewedResult as ViewedResult
-    from scanner.viewing.scene import Scene as Scene
+    from scanner.viewing.scene import CloudScene as CloudScene
     from scanner.viewing.served_files import ServedFiles as ServedFiles
     from scanner.viewing.server import Serving as Serving
     from scanner.viewing.server import add_style as add_style
@@ -47,7 +47,7 @@ __all__, __getattr__, __dir__ = defer_imports(
         "panel": "ResultPanel reading",
         "picking": "KnownScale",
         "result": "CloudWithSigma PlacedRig ViewedCloud ViewedResult",
-        "scene": "Scene",
+        "scene": "CloudScene",
         "served_files": "ServedFiles",
         "server": "Serving add_style announce_page serving wait",
         "texts": "bar_html bold escaped link_html notes_text verdict_text",

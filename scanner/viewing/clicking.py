@@ -9,7 +9,7 @@ from calib.numerics import Floats
 from scanner.shown_text import unbroken
 from scanner.viewing.picking import KnownScale, Picked, point_at
 from scanner.viewing.result import CaptureCloud, ViewedCloud
-from scanner.viewing.scene import Scene
+from scanner.viewing.scene import CloudScene
 from scanner.viewing.texts import bold, escaped
 from scanner.viewing.view_controls import PLAIN, failures_shown
 
@@ -23,7 +23,7 @@ class Clicking:
     confirms it.
     """
 
-    def __init__(self, gui: viser.GuiApi, scene: Scene, cloud: ViewedCloud, set_scale: SetScale | None) -> None:
+    def __init__(self, gui: viser.GuiApi, scene: CloudScene, cloud: ViewedCloud, set_scale: SetScale | None) -> None:
         self._scene, self._set_scale = scene, set_scale
         self._lock = Lock()
         self._picked = Picked(cloud) if isinstance(cloud, CaptureCloud) else None

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.geometry import Corner, polar
 from calib.numerics import Floats
-from scanner.measuring import Scene
+from scanner.measuring import MeasuredScene
 from scanner.results import FinishedScan
 from scanner.viewing.decimation import shuffled
 
@@ -25,11 +25,11 @@ class MeasuredCorner:
     """
 
     corner: Corner
-    scene: Scene
+    scene: MeasuredScene
     outlines: Floats
 
 
-def measured_corner(scan: FinishedScan, scene: Scene) -> MeasuredCorner | None:
+def measured_corner(scan: FinishedScan, scene: MeasuredScene) -> MeasuredCorner | None:
     """The corner of the faces that `scan measure` finds, too; None if the matches do not label all three."""
     chosen = np.sort(shuffled(len(scan))[:_OUTLINED_POINTS])
     points, faces = scan.points[chosen], scene.faces

@@ -17,7 +17,7 @@ _EDGES = [(a, b) for a in range(8) for b in range(8) if a < b and (a ^ b).bit_co
 
 
 @dataclass(frozen=True)
-class Frame:
+class BoxFrame:
     """Axes that a box is along: rows of `axes` (3, 3) from `origin` (3,), in the cloud's frame; `names` of them.
 
     `low` and `high` (3,): the range of the cloud's points along each.
@@ -38,7 +38,7 @@ class Frame:
 class Box:
     """Between `low` and `high` (3,) along the axes of a frame; infinite where it has no wall."""
 
-    frame: Frame
+    frame: BoxFrame
     low: Floats
     high: Floats
 
@@ -64,7 +64,7 @@ class Box:
         return lines
 
 
-def frame_of(cloud: ViewedCloud) -> Frame:
+def frame_of(cloud: ViewedCloud) -> BoxFrame:
     """Along the edges of the corner, as distances from its faces, where one capture shows it; else the cloud's own."""
     axes, origin = np.eye(3), np.zeros(3)
     names: tuple[str, ...] = ("x", "y", "z")
@@ -76,7 +76,7 @@ def frame_of(cloud: ViewedCloud) -> Frame:
         names = tuple(f"From face {name}" for name in FACE_NAMES)
     along = (cloud.points - origin) @ axes.T
     low, high = np.quantile(along, (_STRAYS, 1 - _STRAYS), axis=0)
-    return Frame(axes, origin, names, low, high)
+    return BoxFrame(axes, origin, names, low, high)
 
 
 def whole(cloud: ViewedCloud) -> Box:
@@ -84,7 +84,7 @@ def whole(cloud: ViewedCloud) -> Box:
     return Box(frame_of(cloud), np.full(3, -np.inf), np.full(3, np.inf))
 
 
-def box_within(frame: Frame, ranges: Floats) -> Box:
+def box_within(frame: BoxFrame, ranges: Floats) -> Box:
     """A box with `ranges` (3, 2) along the axes; at an end of the cloud it has no wall."""
     low = np.where(ranges[:, 0] <= frame.low, -np.inf, ranges[:, 0])
     high = np.where(ranges[:, 1] >= frame.high, np.inf, ranges[:, 1])

@@ -7,7 +7,7 @@ from typing import Any
 
 import viser
 
-from scanner.exporting import FORMATS, Request
+from scanner.exporting import FORMATS, ExportRequest
 from scanner.io import read_whole
 from scanner.results import (
     CALIBRATION_FILE,
@@ -55,7 +55,7 @@ def _add_exports(gui: viser.GuiApi, folder: Path) -> None:
         message.content = "Exporting …"
         with failures_shown(message), tempfile.TemporaryDirectory() as scratch:
             out = Path(scratch, f"{folder.name}{form.ending}")
-            sentences = form.write(Request(folder, out))
+            sentences = form.write(ExportRequest(folder, out))
             if event.client is not None:
                 event.client.send_file_download(out.name, out.read_bytes(), save_immediately=True)
             message.content = f"{out.name}: {'; '.join(sentences)}"

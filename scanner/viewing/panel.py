@@ -16,7 +16,7 @@ from scanner.viewing.decimation import statement
 from scanner.viewing.files import add_files
 from scanner.viewing.network import network_cloud
 from scanner.viewing.result import ViewedCloud, ViewedResult
-from scanner.viewing.scene import Scene
+from scanner.viewing.scene import CloudScene
 from scanner.viewing.texts import calibration_text, corner_text, notes_text, verdict_text
 from scanner.viewing.view_controls import ViewControls, failures_shown
 
@@ -38,7 +38,7 @@ class ResultPanel:
         set_scale: SetScale | None = None,
     ) -> None:
         self._gui = server.gui
-        self._scene = Scene(server)
+        self._scene = CloudScene(server)
         self._place, self._link, self._set_scale = place, link, set_scale
         self._lock = Lock()
         self._parts: list[viser.GuiFolderHandle] = []

@@ -25,7 +25,7 @@ from scanner.viewing.geometry import (
     viewpoint,
 )
 from scanner.viewing.result import PlacedRig, ViewedCloud
-from scanner.viewing.surface import Surface
+from scanner.viewing.surface import SurfaceMesh
 from scanner.viewing.texts import angle_name
 
 # The browser's camera is made for scenes of a few units, so clouds are scaled to this size.
@@ -43,7 +43,7 @@ _MESH = f"{CLOUD}/mesh"
 
 
 @dataclass(frozen=True)
-class Shown:
+class ViewSummary:
     """The current view: how many `points` of how many in the box, or how many triangles, and the meaning of the
     colours.
     """
@@ -54,7 +54,7 @@ class Shown:
     coloured: Coloured
 
 
-class Scene:
+class CloudScene:
     """The 3-D scene of one or several browser windows."""
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -86,7 +86,7 @@ class Scene:
         self._draw_ruler(cloud)
         self.look()
 
-    def follow(self, cloud: ViewedCloud, colouring: Colouring) -> Shown:
+    def follow(self, cloud: ViewedCloud, colouring: Colouring) -> ViewSummary:
         """Draw another cloud's points in place of the last one's, from where everybody looks now."""
         self._cloud = replace(cloud, rigs=self._required.rigs)
         return self.draw_points(1.0, colouring, whole(cloud))
@@ -114,7 +114,7 @@ class Scene:
             client.camera.look_at = self._drawn(view.target)
             client.camera.fov = FIELD_OF_VIEW_RAD
 
-    def draw_points(self, share: float, colouring: Colouring, box: Box) -> Shown:
+    def draw_points(self, share: float, colouring: Colouring, box: Box) -> ViewSummary:
         """Draw a share of the cloud's points that are in the box, spread evenly."""
         cloud = self._required
         inside = cloud.order[box.holds(cloud.points)[cloud.order]] if box.bounded else cloud.order
@@ -131,9 +131,9 @@ class Scene:
             point_shading="flat",
             precision="float32",
         )
-        return Shown(len(chosen), len(inside), 0, paint)
+        return ViewSummary(len(chosen), len(inside), 0, paint)
 
-    def draw_surface(self, surface: Surface, colouring: Colouring, box: Box) -> Shown:
+    def draw_surface(self, surface: SurfaceMesh, colouring: Colouring, box: Box) -> ViewSummary:
         """Draw the triangles in place of the points."""
         cloud = surface.cloud
         used = np.unique(surface.triangles).astype(np.int64)
@@ -147,7 +147,7 @@ class Scene:
         if triangles:
             # Rotated from glTF's y up to the camera's y down.
             self._scene.add_glb(_MESH, data, scale=self._factor, wxyz=(0.0, 1.0, 0.0, 0.0))
-        return Shown(0, 0, triangles, paint)
+        return ViewSummary(0, 0, triangles, paint)
 
     def draw_box(self, box: Box) -> None:
         """Draw its edges, if it has a wall."""

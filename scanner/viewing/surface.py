@@ -17,7 +17,7 @@ _MOST_POINTS = 300_000
 
 
 @dataclass(frozen=True)
-class Surface:
+class SurfaceMesh:
     """Triangles (T, 3) between points of a cloud, by number."""
 
     cloud: CaptureCloud
@@ -41,7 +41,7 @@ class Surface:
             return path.read_bytes(), len(kept)
 
 
-def surface_of(cloud: CaptureCloud) -> Surface:
+def surface_of(cloud: CaptureCloud) -> SurfaceMesh:
     """Triangles between neighbouring pixels, at every `step`th one of a large cloud."""
     scan = cloud.scan
     step = max(1, ceil(sqrt(len(scan) / _MOST_POINTS)))
@@ -49,4 +49,4 @@ def surface_of(cloud: CaptureCloud) -> Surface:
     focal_px = float(np.mean(scan.calibration.camera.focal_px)) / step
     points = SeenPoints(scan.matches.camera_px[chosen] / step, scan.points[chosen], scan.normals[chosen], focal_px)
     triangles = image_triangles(points)
-    return Surface(cloud, chosen[triangles].astype(np.int32))
+    return SurfaceMesh(cloud, chosen[triangles].astype(np.int32))

@@ -16,8 +16,8 @@ from scanner.viewing.colouring import Colouring, possible_colourings
 from scanner.viewing.crop import Box, box_within, frame_of, write_cropped
 from scanner.viewing.decimation import DEFAULT_SHOWN, many, statement
 from scanner.viewing.result import CaptureCloud, ViewedCloud
-from scanner.viewing.scene import FACES, LABELS, RIGS, Scene, Shown
-from scanner.viewing.surface import Surface, surface_of
+from scanner.viewing.scene import FACES, LABELS, RIGS, CloudScene, ViewSummary
+from scanner.viewing.surface import SurfaceMesh, surface_of
 from scanner.viewing.texts import bar_html, bold
 
 _PARTS = {"Devices": RIGS, "Faces, ruler": FACES, "Names": LABELS}
@@ -41,11 +41,11 @@ class ViewControls:
     it.
     """
 
-    def __init__(self, gui: viser.GuiApi, scene: Scene, cloud: ViewedCloud, name: str) -> None:
+    def __init__(self, gui: viser.GuiApi, scene: CloudScene, cloud: ViewedCloud, name: str) -> None:
         self._gui, self._scene, self._cloud, self._name = gui, scene, cloud, name
         self._lock = Lock()
         self._drawn: object = None
-        self._surface: Surface | None = None
+        self._surface: SurfaceMesh | None = None
         self._frame = frame_of(cloud)
         self._shown_as = gui.add_dropdown(
             "Show", [_POINTS, _SURFACE], visible=isinstance(cloud, CaptureCloud), hint="The surface: triangles"
@@ -97,13 +97,13 @@ class ViewControls:
                 self._bar.content = bar_html(drawn.coloured.bar)
                 self._statement.content = f"{self._how_many(drawn, box)} {drawn.coloured.legend}"
 
-    def _draw(self, colouring: Colouring, share: float, box: Box, *, as_surface: bool) -> Shown:
+    def _draw(self, colouring: Colouring, share: float, box: Box, *, as_surface: bool) -> ViewSummary:
         if not (as_surface and isinstance(self._cloud, CaptureCloud)):
             return self._scene.draw_points(share, colouring, box)
         self._surface = self._surface or surface_of(self._cloud)
         return self._scene.draw_surface(self._surface, colouring, box)
 
-    def _how_many(self, drawn: Shown, box: Box) -> str:
+    def _how_many(self, drawn: ViewSummary, box: Box) -> str:
         if self._shown_as.value == _SURFACE:
             return f"Showing {many(drawn.triangles)} triangles."
         part = f", of {many(len(self._cloud.points))} in all" if box.bounded else ""

@@ -60,7 +60,7 @@ def board(folder: Path) -> Run:
 
 def batch(folder: Path) -> Run:
     """`scan batch` with lists of existing and missing captures, and the resulting table."""
-    from scanner.batch import Delivery, Request, list_jobs, run_batch, work
+    from scanner.batch import Delivery, BatchRequest, list_jobs, run_batch, work
     from scanner.ui import EXIT_INPUT, EXIT_REFUSED, Terminal
     from tests.support.small_capture import write_capture
 
@@ -79,7 +79,7 @@ def batch(folder: Path) -> Run:
         path, out = folder / "list.csv", folder / "out"
         path.write_bytes(of_csv(rows[: 1 + int(rng.integers(len(rows)))], rng))
         try:
-            jobs = list_jobs([str(path)], Request())[:3]
+            jobs = list_jobs([str(path)], BatchRequest())[:3]
             found = [work(job, Delivery(str(out))) for job in jobs]
             assert {row.exit_code for row in found} <= {0, EXIT_INPUT, EXIT_REFUSED}, [row.reason for row in found]
             assert run_batch(jobs, str(out), None, terminal).kept == len(jobs)

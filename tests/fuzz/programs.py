@@ -15,7 +15,7 @@ from tests.fuzz.mutations import Random, extreme
 def results(folder: Path) -> Run:
     """A result with extreme but well-formed numbers: read, measured, shown and exported."""
     from calib.pointcloud import build_cloud
-    from scanner.exporting import FORMATS, Request
+    from scanner.exporting import FORMATS, ExportRequest
     from scanner.io import read_calibration, write_ply
     from scanner.measuring import measure, read_scene, tables
     from scanner.results import COLUMNS, read_finished_scan
@@ -57,7 +57,7 @@ def results(folder: Path) -> Run:
         ViewedResult(written.folder).cloud("The capture")
         for name in ("opencv", "colmap", "ply", "mesh"):
             out = folder / f"out{FORMATS[name].ending}"
-            FORMATS[name].write(Request(written.folder, out, True, 100))
+            FORMATS[name].write(ExportRequest(written.folder, out, True, 100))
 
     return guarded(read)
 

@@ -22,7 +22,7 @@ from hw.timing import latency, synchronisation
 from scanner.capture import open_capture
 from scanner.commands import devices, main
 from scanner.configuration import load_config
-from scanner.console import Activity, Picture, Settings, Worker
+from scanner.console import Activity, IdlePicture, ConsoleSettings, Worker
 from scanner.ui import Terminal
 from tests.support import fake_gphoto2
 from tests.support.fake_gphoto2 import Device, GPhoto2Error
@@ -109,13 +109,13 @@ def test_a_capture_has_few_patterns_and_can_be_resumed(
 
 def test_the_console_shows_what_the_camera_sees(config: Path, device: Device) -> None:
     page = Notebook()
-    worker = Worker(Settings(config), page)
+    worker = Worker(ConsoleSettings(config), page)
     worker.start()
     try:
         assert worker.request(Activity.LIVE)
         until(lambda: page.frames)
         white = page.frames[-1].image.mean()
-        worker.change(picture=Picture.BLACK)
+        worker.change(picture=IdlePicture.BLACK)
         until(lambda: page.frames[-1].image.mean() < white / 2)
         worker.change(exposure_us=500_000.0)
         until(lambda: page.frames[-1].exposure_us == 5e5)

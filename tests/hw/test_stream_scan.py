@@ -19,7 +19,7 @@ from scanner import pipeline
 from scanner.capture import open_capture
 from scanner.commands import main
 from scanner.commands import scan as scan_command
-from scanner.console import Activity, Picture, Settings, Worker
+from scanner.console import Activity, IdlePicture, ConsoleSettings, Worker
 from scanner.patterns import draw
 from tests.support.loopback_bench import after_frames
 from tests.support.notebook import Notebook, until
@@ -149,14 +149,14 @@ def captured(capture: Path, room: SimulatedRoom) -> int:
 
 def test_the_console_shows_what_the_camera_sees(config: Path, phone: Phone) -> None:
     page = Notebook()
-    worker = Worker(Settings(config), page)
+    worker = Worker(ConsoleSettings(config), page)
     worker.start()
     try:
         assert worker.request(Activity.LIVE)
         until(lambda: page.frames)
         assert settable_exposure(page.rigs[0].camera) is None
         white = page.frames[-1].image.mean()
-        worker.change(picture=Picture.BLACK)
+        worker.change(picture=IdlePicture.BLACK)
         until(lambda: page.frames[-1].image.mean() < white / 2)
     finally:
         status = worker.close()

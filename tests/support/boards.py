@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from calib.boards import View
+from calib.boards import BoardView
 from calib.geometry import mapped
 from calib.numerics import Floats
 from calib.refinement import into_cells
@@ -12,11 +12,11 @@ from scanner.boards import draw_target
 from scanner.targets import Target
 
 
-def views_of(boards: SyntheticBoards) -> list[View]:
+def views_of(boards: SyntheticBoards) -> list[BoardView]:
     views = []
     for i, view in enumerate(boards.views):
         cells = into_cells(view.matches.with_faces(np.zeros(len(view.matches), np.int32)), (0,))
-        views.append(View(f"view {i}", view.points, view.corners_px, cells))
+        views.append(BoardView(f"view {i}", view.points, view.corners_px, cells))
     return views
 
 

@@ -8,7 +8,7 @@ from hw.rig import Frame, Rig
 from scanner.checking import CheckReport, CheckRow
 from scanner.console import Status
 from scanner.live import Watcher
-from scanner.networks import Sight
+from scanner.networks import PairProgress
 from scanner.results import Scan
 
 
@@ -19,7 +19,7 @@ class Notebook:
         self.statuses: list[Status] = []
         self.frames: list[Frame] = []
         self.cameras: list[str] = []
-        self.sights: list[Sight] = []
+        self.sights: list[PairProgress] = []
         self.rigs: list[Rig] = []
         self.clouds: list[Scan] = []
         self.results: list[Path] = []
@@ -35,7 +35,7 @@ class Notebook:
         self.frames.append(frame)
         self.cameras.append(camera)
 
-    def on_sight(self, sight: Sight, frame: Frame | None) -> None:
+    def on_sight(self, sight: PairProgress, frame: Frame | None) -> None:
         self.sights.append(sight)
 
     def on_captured(self) -> None:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Calibration, Matches, Pose
 from calib.numerics import Floats, Image, Ints
 from hw.settings import SimulatedRigSettings
-from hw.simulated import ProjectorLight, Room, Scene, Texture, paint, place_room, true_calibration
+from hw.simulated import ProjectorLight, DrawnRoom, Scene, Texture, paint, place_room, true_calibration
 
 CAMERA = (612, 512)
 PROJECTOR = (854, 480)
@@ -71,7 +71,7 @@ def with_turned_projector(station: TrueStation, turn_deg: Sequence[float] | Floa
     return replace(station, matches=replace(station.matches, projector_px=rig.projector.project(turned) + noise))
 
 
-def observed(room: Room, rng: np.random.Generator, noise_px: float) -> TrueStation:
+def observed(room: DrawnRoom, rng: np.random.Generator, noise_px: float) -> TrueStation:
     """What the rig in a room sees at the centres of the camera's pixels that its projector lights."""
     optics = room.camera.optics
     x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
@@ -96,7 +96,7 @@ def observed(room: Room, rng: np.random.Generator, noise_px: float) -> TrueStati
     )
 
 
-def lit_picture(room: Room, texture: Texture, rng: np.random.Generator) -> Image:
+def lit_picture(room: DrawnRoom, texture: Texture, rng: np.random.Generator) -> Image:
     """An 8-bit picture in the projector's light, with shot noise."""
     optics, light = room.camera.optics, ProjectorLight(room.scene, room.projector)
     x, y = (each.ravel() for each in np.meshgrid(np.arange(optics.width), np.arange(optics.height)))

@@ -16,7 +16,7 @@ from hw.simulated.picture import PictureOptics
 from hw.simulated.placement import look_at, resized
 from hw.simulated.sensor import Sensor, build_sensor
 from hw.simulated.things.solids import Solid, draw_solid
-from hw.simulated.things.stage import Hits, Stage, pose_of, reflected
+from hw.simulated.things.stage import Hits, TurntableScene, pose_of, reflected
 from hw.simulated.truth import calibration_between
 
 _STREAM = 300  # stream of random numbers; rooms use others
@@ -69,7 +69,7 @@ class SimulatedThing:
         self.solid = draw_solid(settings.thing, np.random.default_rng([*seed, 2]))
         self.room = _devices(settings, np.random.default_rng([*seed, 3]), camera_size, projector_size)
         self.pose = pose_of(self.solid, settings.thing, settings.pose, seed)
-        self.stage = Stage(self.solid, self.pose, settings.thing)
+        self.stage = TurntableScene(self.solid, self.pose, settings.thing)
 
     @property
     def calibration(self) -> Calibration:

@@ -54,7 +54,7 @@ class Hits:
     thing: Bools
 
 
-class Stage:
+class TurntableScene:
     """A thing in a pose, with the plate of the turntable and the static background."""
 
     def __init__(self, solid: Solid, place: Pose, settings: ThingSettings) -> None:

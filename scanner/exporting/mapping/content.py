@@ -9,7 +9,7 @@ from calib.geometry import Size
 from calib.numerics import Floats, compiled
 from scanner.errors import InputError
 from scanner.exporting.mapping.projector_view import Numbers, WallPart
-from scanner.exporting.mapping.wall import Viewpoint
+from scanner.exporting.mapping.wall import WallView
 
 _LARGEST_PX = 16_384
 
@@ -21,7 +21,7 @@ class Content:
     `size`: of the picture, in square pixels. `viewpoint`: from where it is undistorted.
     """
 
-    viewpoint: Viewpoint
+    viewpoint: WallView
     low: Floats
     extent: tuple[float, float]
     size: Size
@@ -42,7 +42,7 @@ class Content:
         return places
 
 
-def content_on(viewpoint: Viewpoint, parts: Sequence[WallPart]) -> Content:
+def content_on(viewpoint: WallView, parts: Sequence[WallPart]) -> Content:
     """The smallest rectangle that holds all that is lit of the wall, with pixels as fine as the finest projector's.
 
     Raises InputError if no projector lights it.

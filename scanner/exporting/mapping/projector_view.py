@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Floats, Ints, compiled, in_slices
-from scanner.exporting.mapping.wall import Viewpoint
+from scanner.exporting.mapping.wall import WallView
 from scanner.exporting.open3d_module import open3d
 from scanner.exporting.triangles import Mesh
 from scanner.io import RowFile, StoredDevice, row_bands
@@ -51,7 +51,7 @@ class ProjectorView:
 class SurfaceCaster:
     """Casts the rays of projectors at a mesh. Raises InputError if Open3D cannot be loaded."""
 
-    def __init__(self, mesh: Mesh, viewpoint: Viewpoint) -> None:
+    def __init__(self, mesh: Mesh, viewpoint: WallView) -> None:
         self._mesh, self._viewpoint = mesh, viewpoint
         self._tensor = open3d().core.Tensor
         self._scene = open3d().t.geometry.RaycastingScene()
@@ -87,7 +87,7 @@ class _Lit:
 class _Surface:
     """The surface as one projector lights it, and what is known about all of its rows so far."""
 
-    def __init__(self, projector: StoredDevice, mesh: Mesh, viewpoint: Viewpoint) -> None:
+    def __init__(self, projector: StoredDevice, mesh: Mesh, viewpoint: WallView) -> None:
         self._projector, self._mesh, self._viewpoint = projector, mesh, viewpoint
         self._low, self._high = np.full(2, np.inf), np.full(2, -np.inf)
         self._sides = list[Numbers]()

@@ -21,7 +21,7 @@ _FEWEST = 50
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class MappedScene:
     """`projectors` with their poses, and `mesh`, in the mesh's unit and the result's frame, y down.
 
     `baseline`: the devices whose distance is the unit, if no length is known.
@@ -32,7 +32,7 @@ class Scene:
     baseline: str
 
 
-def read_scene(result: Path) -> Scene:
+def read_scene(result: Path) -> MappedScene:
     """Of a network, or of a single camera and projector. Raises InputError."""
     if (result / NETWORK_FILE).is_file():
         return _of_network(result)
@@ -44,10 +44,10 @@ def read_scene(result: Path) -> Scene:
             )
     scan = read_finished_scan(result)
     projector = StoredDevice("projector", "projector", scan.calibration.projector, scan.calibration.pose.inverse())
-    return Scene((projector,), build_mesh(scan), "from camera to projector")
+    return MappedScene((projector,), build_mesh(scan), "from camera to projector")
 
 
-def _of_network(result: Path) -> Scene:
+def _of_network(result: Path) -> MappedScene:
     network = read_network(result / NETWORK_FILE)
     projectors = tuple(each for each in network.devices if each.kind == "projector")
     if not projectors:
@@ -56,7 +56,7 @@ def _of_network(result: Path) -> Scene:
     if mesh is None:
         raise InputError(f"{result / NETWORK_CLOUD_FILE}: its points do not hang together as a surface to project on")
     first, second = (each.name for each in network.devices[:2])
-    return Scene(projectors, mesh, f"from {first} to {second}")
+    return MappedScene(projectors, mesh, f"from {first} to {second}")
 
 
 def surface_through(cloud: CloudPoints, unit: str) -> Mesh | None:

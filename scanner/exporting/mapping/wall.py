@@ -19,7 +19,7 @@ _UP = np.array([0.0, -1.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
-class Wall:
+class MappedWall:
     """The points X with `normal` · X = `offset`; the normal (3,) points to the viewer. `within`: distance tolerance of
     its points.
     """
@@ -38,12 +38,12 @@ class Wall:
 
 
 @dataclass(frozen=True, eq=False)
-class Viewpoint:
+class WallView:
     """The `wall` that shows the picture, and the `eye` (3,) that sees it undistorted; without one, from straight ahead
     and far away.
     """
 
-    wall: Wall
+    wall: MappedWall
     eye: Floats | None
 
     def refuse_behind(self) -> None:
@@ -55,7 +55,7 @@ class Viewpoint:
             )
 
 
-def largest_wall(mesh: Mesh) -> Wall:
+def largest_wall(mesh: Mesh) -> MappedWall:
     """The plane with the most surface among those that are upright, or of all if none is. The first device is upright.
 
     RANSAC over points with normals, weighted by the area around them, then least squares.
@@ -82,4 +82,4 @@ def largest_wall(mesh: Mesh) -> Wall:
     except ValueError as error:
         raise InputError(f"no wall is found to show a picture on: {error}") from error
     sign = np.sign(plane.normal @ normals[best])
-    return Wall(sign * plane.normal, float(sign * plane.offset), within)
+    return MappedWall(sign * plane.normal, float(sign * plane.offset), within)

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats
-from scanner.exporting.formats import Request
+from scanner.exporting.formats import ExportRequest
 from scanner.exporting.glb import GlbCamera, Piece, write_pieces
 from scanner.exporting.mapping.blend import LitRegion, distance_from_edge, summed_squares, weights
 from scanner.exporting.mapping.content import Content, content_on
 from scanner.exporting.mapping.lens_shift import for_programs
 from scanner.exporting.mapping.projector_view import Numbers, ProjectorView, SurfaceCaster
-from scanner.exporting.mapping.scene import Scene, read_scene
-from scanner.exporting.mapping.wall import Viewpoint, largest_wall
+from scanner.exporting.mapping.scene import MappedScene, read_scene
+from scanner.exporting.mapping.wall import WallView, largest_wall
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA
 from scanner.exporting.units import in_metres
 from scanner.io import (
@@ -54,14 +54,14 @@ _HOW = {
 }
 
 
-def export(request: Request) -> list[str]:
+def export(request: ExportRequest) -> list[str]:
     """Write everything into a folder. Raises InputError and OSError."""
     refuse_existing(request.out / LISTING_FILE, overwrite=request.overwrite)
     scene = read_scene(request.result)
     _require_room(scene.projectors, request.out)
     metres, remarks = in_metres(scene.mesh.unit, scene.baseline)
     eye = None if request.eye is None else np.array(request.eye) * Y_UP_FROM_CAMERA / metres
-    viewpoint = Viewpoint(largest_wall(scene.mesh), eye)
+    viewpoint = WallView(largest_wall(scene.mesh), eye)
     viewpoint.refuse_behind()
     names = [f"{projector.name}-{name}" for projector in scene.projectors for name in _MAPS]
     with new_files(request.out, [SCENE_FILE, LISTING_FILE, *names], overwrite=request.overwrite) as paths:
@@ -89,7 +89,7 @@ def _require_room(projectors: Sequence[StoredDevice], out: Path) -> None:
 
 
 def _write_maps(
-    scene: Scene, viewpoint: Viewpoint, metres: float, gamma: float, maps_of: Sequence[Mapping[str, Path]]
+    scene: MappedScene, viewpoint: WallView, metres: float, gamma: float, maps_of: Sequence[Mapping[str, Path]]
 ) -> tuple[Content, list[ProjectorView], list[float]]:
     """Write `maps_of` each projector; returns the content, and the share of each one's pixels that show some of it."""
     to_file = metres * Y_UP_FROM_CAMERA
@@ -192,7 +192,7 @@ def _content_entry(content: Content, metres: float) -> dict[str, Any]:
     }
 
 
-def _summary(scene: Scene, content: Content, metres: float, shares: Sequence[float]) -> list[str]:
+def _summary(scene: MappedScene, content: Content, metres: float, shares: Sequence[float]) -> list[str]:
     width, height = (f"{metres * side:.2f}" for side in content.extent)
     count = len(scene.projectors)
     cameras = f"{count} projectors as cameras" if count > 1 else "1 projector as a camera"

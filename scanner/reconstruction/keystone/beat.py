@@ -41,7 +41,7 @@ def homography_of(values: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Fit:
+class BeatFit:
     """`values` (8,) and their `covariance` (8, 8), of which some were `free`.
 
     `explained`: share of the variance; `strengths`: amplitudes of the beats along x, y relative to those of a linear
@@ -116,7 +116,7 @@ class Beat:
         data = self.data[inside]
         return replace(self, points=self.points[inside], data=data - smooth @ (smooth.T @ data), smooth=smooth)
 
-    def leans(self, fit: Fit) -> bool:
+    def leans(self, fit: BeatFit) -> bool:
         """Whether the far edge is narrower than the near one, by what matters and is certain."""
         lean, sigma = np.abs(fit.values[LEANS]), np.sqrt(np.diag(fit.covariance)[LEANS])
         axis = int(np.argmax(lean))
@@ -129,7 +129,7 @@ class Beat:
         both = np.stack([self.wave(x, self.periods[0]), -self.wave(y, self.periods[1])])
         return both - (both @ self.smooth) @ self.smooth.T
 
-    def refined(self, start: Floats, free: tuple[int, ...]) -> Fit:
+    def refined(self, start: Floats, free: tuple[int, ...]) -> BeatFit:
         """Refine a nearly correct start, by least squares."""
         columns = list(free)
 
@@ -152,13 +152,13 @@ class Beat:
         covariance = np.zeros((NUMBERS, NUMBERS))
         covariance[np.ix_(columns, columns)] = inner[:-1, :-1] / self.half**2
         explained = 1 - float(np.mean(found.fun**2) / np.mean(self.data**2))
-        return Fit(best, covariance, free, explained, (float(strengths[0]), float(strengths[1])))
+        return BeatFit(best, covariance, free, explained, (float(strengths[0]), float(strengths[1])))
 
-    def without(self, fit: Fit) -> "Beat":
+    def without(self, fit: BeatFit) -> "Beat":
         """What is left when that is explained."""
         return replace(self, data=self.data - fit.strengths @ self.waves(fit.values))
 
-    def believable(self, freer: Fit, fit: Fit) -> Fit:
+    def believable(self, freer: BeatFit, fit: BeatFit) -> BeatFit:
         """The freer of two fits where it explains more than chance would, else the other."""
         gained = (freer.explained - fit.explained) / (1 - freer.explained) * len(self.data) / self.alike
         return freer if gained > _WORTH_THE_REST else fit

@@ -15,7 +15,7 @@ from calib.geometry import Matches, mapped
 from calib.numerics import Floats, Ints, evenly
 from calib.refinement import Shift
 from scanner.decoding import FinestStripes, first_harmonics
-from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, Fit, homography_of
+from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, BeatFit, homography_of
 from scanner.reconstruction.keystone.planes import planes_at
 from scanner.reconstruction.keystone.starts import Spectrum, starts, starts_about_both_axes
 
@@ -62,7 +62,7 @@ def _beat(stripes: FinestStripes, matches: Matches, plane: Ints, size: tuple[int
     return Beat.of(stripes, where, size, _ROUND)
 
 
-def _found_at_first(thin: Beat) -> Fit | None:
+def _found_at_first(thin: Beat) -> BeatFit | None:
     """The homography that explains how contrasts beat; None where none does."""
     sharp, spectrum = replace(thin, wave=_SHARP), Spectrum.of(thin)
     for likely in (starts, starts_about_both_axes):
@@ -77,7 +77,7 @@ def _found_at_first(thin: Beat) -> Fit | None:
     return None
 
 
-def _keystone(fit: Fit, size: tuple[int, int]) -> Keystone:
+def _keystone(fit: BeatFit, size: tuple[int, int]) -> Keystone:
     """The homography between pixels, and the fields of its standard deviations."""
     homography = _between_pixels(fit.values, size)
     eigenvalues, directions = np.linalg.eigh(fit.covariance)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.boards import Board, BoardCalibration, View, best_next_pose, calibrate_boards
+from calib.boards import Board, BoardCalibration, BoardView, best_next_pose, calibrate_boards
 from calib.geometry import Calibration
 from calib.refusal import RefusalError
 from calib.synthetic import SyntheticBoards, random_boards
@@ -19,7 +19,7 @@ def made_up(seed: int, **changes: Any) -> SyntheticBoards:
     return random_boards(np.random.default_rng(seed), matches=3000, **changes)
 
 
-def calibrated(boards: SyntheticBoards, views: list[View] | None = None, turns: int = 1) -> BoardCalibration:
+def calibrated(boards: SyntheticBoards, views: list[BoardView] | None = None, turns: int = 1) -> BoardCalibration:
     rig = boards.calibration
     board = Board(boards.reach, turns, "m")
     return calibrate_boards(views_of(boards) if views is None else views, rig.camera.size, rig.projector.size, board)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.boards import Board, View, calibrate_boards
+from calib.boards import Board, BoardView, calibrate_boards
 from calib.boards.calibrate import estimated
 from calib.boards.estimate import estimate
-from calib.boards.likelihood import Levels, Prior, device_prior
+from calib.boards.likelihood import BoardVariances, Prior, device_prior
 from calib.boards.parameters import State
 from calib.boards.starts import rough_levels, starts
 from calib.synthetic import SyntheticBoards, random_boards
@@ -20,7 +20,7 @@ _FOCALS = [0, 9]
 WAVE_PX = 0.1
 
 
-def wavy(views: list[View]) -> list[View]:
+def wavy(views: list[BoardView]) -> list[BoardView]:
     """The views with a smooth error of the matches that no parameter explains, as of a distorted print."""
     rng = np.random.default_rng(8)
     bent = []
@@ -33,7 +33,7 @@ def wavy(views: list[View]) -> list[View]:
 
 
 @pytest.fixture(scope="module")
-def four() -> tuple[SyntheticBoards, list[View], State, Prior]:
+def four() -> tuple[SyntheticBoards, list[BoardView], State, Prior]:
     boards = random_boards(np.random.default_rng(2), matches=1000, views=4)
     views, rig = wavy(views_of(boards)), boards.calibration
     prior = device_prior(rig.camera.size, rig.projector.size, 7)
@@ -42,13 +42,13 @@ def four() -> tuple[SyntheticBoards, list[View], State, Prior]:
 
 
 def test_the_noise_estimate_does_not_depend_on_the_start(
-    four: tuple[SyntheticBoards, list[View], State, Prior],
+    four: tuple[SyntheticBoards, list[BoardView], State, Prior],
 ) -> None:
     _, views, start, prior = four
     rough = rough_levels(views)
     found = []
     for shares in ([1, 1, 1, 1], [1e-3, 1, 1, 1], [1, 1, 1, 1e-3]):
-        levels = Levels(rough.corners * shares, tuple(map(np.multiply, rough.cells, shares)))
+        levels = BoardVariances(rough.corners * shares, tuple(map(np.multiply, rough.cells, shares)))
         found.append(estimate(views, start, prior, levels))
     sigma = np.sqrt(found[0].covariance.diagonal())
     for other in found[1:]:
@@ -61,7 +61,7 @@ def test_the_noise_estimate_does_not_depend_on_the_start(
 
 
 def test_leaving_out_a_board_moves_the_estimate_as_predicted(
-    four: tuple[SyntheticBoards, list[View], State, Prior],
+    four: tuple[SyntheticBoards, list[BoardView], State, Prior],
 ) -> None:
     boards, views, _, prior = four
     sizes = boards.calibration.camera.size, boards.calibration.projector.size

@@ -1,8 +1,8 @@
 import numpy as np
 
-from calib.networks.raster import Raster, label_map, read
+from calib.networks.raster import ImageRaster, label_map, read
 
-RASTER = Raster(4, 20, 30)
+RASTER = ImageRaster(4, 20, 30)
 
 
 def test_labels_spread_inside_a_plane_and_not_beyond_it() -> None:

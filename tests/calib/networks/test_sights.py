@@ -3,7 +3,7 @@ import numpy as np
 from calib.geometry import Pose, Size, rotation_about
 from calib.networks.network import Device, Network
 from calib.networks.placement import placed
-from calib.networks.sights import Sight
+from calib.networks.sights import PlaneObservation
 from calib.refinement import Cells
 from calib.rooms import RoomPlane
 
@@ -18,7 +18,7 @@ def test_the_jacobian_matches_the_prediction() -> None:
     network = Network((projector, camera), (RoomPlane(np.array([1.0, 0, 0]), -5.0), plane))
     pixels = rng.uniform((100, 100), (900, 700), (20, 2))
     cells = Cells(pixels, pixels, np.ones(20, np.int32), np.ones(20), np.ones(20), 1.0, 0.0)
-    sight = Sight(0, 1, 0, 1, cells)
+    sight = PlaneObservation(0, 1, 0, 1, cells)
 
     _, jacobian, depths = sight.predict(network)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.networks import NetworkEstimate, estimate_network
-from calib.networks.surfaces import Surface
+from calib.networks.surfaces import PlaneRelief
 from calib.numerics import Floats
 from calib.synthetic import RoomOptions, random_network
 
@@ -20,16 +20,16 @@ def estimate() -> NetworkEstimate:
 
 
 @pytest.fixture(scope="module")
-def surface(estimate: NetworkEstimate) -> Surface:
+def surface(estimate: NetworkEstimate) -> PlaneRelief:
     """The floor, with three waves along the image of each camera."""
     sights = tuple(sight for sight in estimate.sights if sight.plane == 0)
     assert len(sights) == 2
     variances = tuple(np.full(len(sight.cells), SIGMA_PX**2) for sight in sights)
     modes = tuple(np.cos(sight.cells.camera_px[:, :1] * [0.002, 0.004, 0.007]) for sight in sights)
-    return Surface(sights, variances, modes, STEEPNESS)
+    return PlaneRelief(sights, variances, modes, STEEPNESS)
 
 
-def observed(estimate: NetworkEstimate, surface: Surface) -> tuple[Floats, Floats]:
+def observed(estimate: NetworkEstimate, surface: PlaneRelief) -> tuple[Floats, Floats]:
     """Residuals (2 M,) of all sights, and their derivatives by the waves' amplitudes (2 M, 3)."""
     off, by_wave = [], []
     for sight, modes in zip(surface.sights, surface.modes, strict=True):
@@ -39,7 +39,7 @@ def observed(estimate: NetworkEstimate, surface: Surface) -> tuple[Floats, Float
     return np.concatenate(off), np.concatenate(by_wave)
 
 
-def test_the_cost_is_that_of_correlated_residuals(estimate: NetworkEstimate, surface: Surface) -> None:
+def test_the_cost_is_that_of_correlated_residuals(estimate: NetworkEstimate, surface: PlaneRelief) -> None:
     off, by_wave = observed(estimate, surface)
     covariance = SIGMA_PX**2 * np.eye(len(off)) + STEEPNESS**2 * by_wave @ by_wave.T
     expected = off @ np.linalg.solve(covariance, off)
@@ -49,7 +49,7 @@ def test_the_cost_is_that_of_correlated_residuals(estimate: NetworkEstimate, sur
     assert cost == pytest.approx(expected, rel=1e-6)
 
 
-def test_the_gradient_is_that_of_the_cost(estimate: NetworkEstimate, surface: Surface) -> None:
+def test_the_gradient_is_that_of_the_cost(estimate: NetworkEstimate, surface: PlaneRelief) -> None:
     network, columns = estimate.network, surface.columns(estimate.network)
     _, gradient, information = surface.misfit(network)
     scale = 1e-3 / np.sqrt(np.diag(information))
@@ -61,7 +61,7 @@ def test_the_gradient_is_that_of_the_cost(estimate: NetworkEstimate, surface: Su
         assert (after - before) / 4 == pytest.approx(gradient @ step[columns], rel=1e-3, abs=1e-9)
 
 
-def test_heights_are_found(estimate: NetworkEstimate, surface: Surface) -> None:
+def test_heights_are_found(estimate: NetworkEstimate, surface: PlaneRelief) -> None:
     """Cells moved as by waves, without noise: the prior alone keeps amplitudes smaller."""
     amplitudes = np.array([0.002, -0.003, 0.001])
     sights = []

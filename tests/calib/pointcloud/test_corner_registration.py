@@ -8,7 +8,7 @@ import pytest
 
 from calib.geometry import Corner, Intrinsics
 from calib.pointcloud.corner_registration import find_order
-from calib.pointcloud.corner_view import View
+from calib.pointcloud.corner_view import CornerView
 from hw.settings import SimulatedRigSettings
 from hw.simulated import paint, place_room
 from tests.support.whole_room import lit_picture, observed
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.xdist_group("alignment")
 
 
 @cache
-def seen(seed: int, pose: int, *, furniture: bool) -> View:
+def seen(seed: int, pose: int, *, furniture: bool) -> CornerView:
     """The lit part of a room; the corner's legs are the world's axes in order."""
     room = place_room(SimulatedRigSettings(seed=seed, pose=pose, furniture=furniture), CAMERA, PROJECTOR)
     lit, camera = observed(room, np.random.default_rng(pose), 0.0), room.camera
@@ -27,16 +27,16 @@ def seen(seed: int, pose: int, *, furniture: bool) -> View:
     points[lit.pixel] = lit.points
     picture = lit_picture(room, paint(room.scene, np.random.default_rng(seed), None), np.random.default_rng(pose))
     corner = Corner(-camera.rotation @ camera.centre, camera.rotation.T)
-    return View(points.reshape(*picture.shape, 3), picture.astype(np.float32), lit.calibration.camera, corner)
+    return CornerView(points.reshape(*picture.shape, 3), picture.astype(np.float32), lit.calibration.camera, corner)
 
 
-def renumbered(view: View, turn: int) -> View:
+def renumbered(view: CornerView, turn: int) -> CornerView:
     """The view with its legs numbered clockwise from another leg, as a joint calibration numbers them."""
     legs = np.roll(view.corner.legs[[0, 2, 1]], turn, axis=0)
     return replace(view, corner=Corner(view.corner.vertex, legs))
 
 
-def world_axes(view: View, turn: int, original: View) -> list[int]:
+def world_axes(view: CornerView, turn: int, original: CornerView) -> list[int]:
     """The world's axes of the axes of the corner's frame."""
     axes = np.roll(view.axes, turn, axis=0)
     return [int(axis) for axis in np.argmax(np.abs(axes @ original.corner.legs.T), axis=1)]
@@ -103,7 +103,7 @@ def test_legs_off_square_give_the_nearest_rotation() -> None:
     legs = np.eye(3) + np.radians(0.3) * np.array([[0, 1, -1], [0.5, 0, 1], [1, -0.5, 0]])
     legs /= np.linalg.norm(legs, axis=1, keepdims=True)
     camera = Intrinsics(4, 3, (3.0, 3.0), (1.5, 1.0))
-    view = View(np.full((3, 4, 3), np.nan, np.float32), None, camera, Corner(np.zeros(3), legs))
+    view = CornerView(np.full((3, 4, 3), np.nan, np.float32), None, camera, Corner(np.zeros(3), legs))
     np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-12)
     apart = np.degrees(np.arccos(np.clip(np.sum(view.axes * legs, axis=1), -1, 1)))
     assert np.all((apart > 0) & (apart < 0.6))

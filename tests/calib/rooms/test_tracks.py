@@ -8,7 +8,7 @@ import pytest
 from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, State, device_of
-from calib.rooms import Room, RoomPlane, Sight
+from calib.rooms import Room, RoomPlane, LabelledPicture
 from calib.rooms.point_tracking import find_tracks
 from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track
@@ -16,7 +16,7 @@ from calib.synthetic import CloudErrors, Paint, random_furnished_room, ring, see
 from tests.calib.rooms.test_registration import CAMERA
 from tests.support.numeric import gradient_of
 
-Scene = tuple[Room, list[Sight], list[tuple[int, ...]]]
+Scene = tuple[Room, list[LabelledPicture], list[tuple[int, ...]]]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def scene() -> Scene:
         away = np.abs(points @ normals.T - heights)
         on = np.nanmin(np.where(np.isfinite(away), away, 9.0), axis=2) < 1e-3
         labels = np.where(on, np.argmin(np.where(np.isfinite(away), away, 9.0), axis=2), -1)
-        sights.append(Sight.of(station.picture, labels.astype(np.int32)))
+        sights.append(LabelledPicture.of(station.picture, labels.astype(np.int32)))
     room = Room(rig.rig, tuple(places), planes)
     return room, sights, [tuple(range(6))] * 2
 

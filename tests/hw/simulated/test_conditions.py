@@ -9,7 +9,7 @@ from calib.numerics import Floats
 from hw.settings import PanelSettings, SimulatedRigSettings
 from hw.simulated.picture import PictureOptics
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.room import Room, draw_room
+from hw.simulated.room import DrawnRoom, draw_room
 from hw.simulated.sensor import responded
 from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.truth import true_calibration
@@ -135,7 +135,7 @@ def test_a_rotated_cupboard_touches_its_wall() -> None:
     straight, askew = (draw_room(SimulatedRigSettings(seed=1, furniture_askew_deg=angle)) for angle in (0.0, 2.0))
     np.testing.assert_array_equal(straight.scene.blocks[0].edges, askew.scene.blocks[0].edges)
 
-    def angle_deg(room: Room) -> float:
+    def angle_deg(room: DrawnRoom) -> float:
         along = room.scene.blocks[3].edges[0]
         return float(np.degrees(np.arctan2(along[1], along[0])))
 

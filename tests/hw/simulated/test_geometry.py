@@ -5,13 +5,13 @@ from hypothesis import strategies as st
 
 from calib.numerics import Floats
 from hw.simulated.scene import Label, Scene
-from hw.simulated.shapes import Block, Sphere
+from hw.simulated.shapes import Block, Ball
 
 UNIT_BLOCK = Block(np.zeros(3), np.eye(3))
 TILTED_BLOCK = Block(np.array([1.0, 2.0, -0.3]), np.array([[2.0, 0.3, 0.0], [-0.2, 1.5, 0.1], [0.0, 0.2, 0.9]]))
 ROOM = Block(np.zeros(3), np.diag([4.0, 5.0, 2.5]))
 BOX = Block(np.array([1.0, 1.0, 0.0]), np.diag([0.5, 0.4, 0.3]))
-BALL = Sphere(np.array([0.6, 0.5, 0.2]), 0.2)
+BALL = Ball(np.array([0.6, 0.5, 0.2]), 0.2)
 SCENE = Scene(ROOM, (BOX,), BALL)
 
 
@@ -51,7 +51,7 @@ def test_rays_enter_a_block_through_the_returned_face(seed: int) -> None:
 
 
 def test_rays_enter_a_sphere_at_its_near_side() -> None:
-    ball = Sphere(np.array([0.0, 0.0, 5.0]), 2.0)
+    ball = Ball(np.array([0.0, 0.0, 5.0]), 2.0)
     directions = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.41, 1.0]]).T
     np.testing.assert_allclose(ball.enter(np.zeros((3, 1)), directions)[:2], [3.0, np.inf])
     # tan of the half angle at which a ball of radius 2 in a distance of 5 is seen: 2 / √21 = 0.436

@@ -11,7 +11,7 @@ from hw.simulated.device import Optics, PlacedDevice
 from hw.simulated.gather import Gathered, Gatherer
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.interreflection import Interreflection, solve
-from hw.simulated.mesh import Mesh, build_mesh
+from hw.simulated.mesh import RadiosityMesh, build_mesh
 from hw.simulated.picture import PictureOptics
 from hw.simulated.placement import resized
 from hw.simulated.room import draw_room
@@ -33,7 +33,7 @@ class EmptyRoom:
     interreflection: Interreflection
 
     @property
-    def mesh(self) -> Mesh:
+    def mesh(self) -> RadiosityMesh:
         return self.gatherer.mesh
 
     def areas(self) -> Floats:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hw.settings import SimulatedRigSettings
-from hw.simulated.room import Room, _corner, draw_room, draw_walls
+from hw.simulated.room import DrawnRoom, _corner, draw_room, draw_walls
 from hw.simulated.scene import Label
 from hw.simulated.shapes import Block
 from hw.simulated.truth import true_calibration
@@ -13,7 +13,7 @@ from hw.simulated.view import look
 SEEDS = range(10)
 
 
-def drawn(seed: int, **settings: object) -> Room:
+def drawn(seed: int, **settings: object) -> DrawnRoom:
     return draw_room(SimulatedRigSettings.model_validate({"seed": seed, **settings}))
 
 

@@ -15,7 +15,7 @@ import pytest
 from hw.optional_parts import BATCH
 from scanner.batch import running as running_module
 from scanner.batch.cluster import dask_workers
-from scanner.batch.listing import Request, list_jobs
+from scanner.batch.listing import BatchRequest, list_jobs
 from scanner.batch.processes import Processes
 from scanner.batch.running import CSV, PAGE, TABLE, run_batch
 from scanner.commands import main
@@ -95,7 +95,7 @@ def test_a_capture_that_kills_its_worker_fails_alone(
     for name in ("a", "b-poison", "c-once"):
         shutil.copytree(museum / "captures" / "hall" / "one", captures / name)
     out.mkdir()
-    jobs = list_jobs([str(captures)], Request(museum / "room.yaml"))
+    jobs = list_jobs([str(captures)], BatchRequest(museum / "room.yaml"))
     monkeypatch.setattr(running_module, "work", deadly_work)
     with Processes(2) as processes:
         found = run_batch(jobs, str(out), lambda: processes, QUIET)
@@ -116,7 +116,7 @@ def test_a_capture_that_kills_its_worker_fails_alone(
 
 
 def test_a_full_disk_ends_the_batch_without_a_row(museum: Path, tmp_path: Path) -> None:
-    jobs = list_jobs([str(museum / "captures" / "dark")], Request(museum / "room.yaml"))
+    jobs = list_jobs([str(museum / "captures" / "dark")], BatchRequest(museum / "room.yaml"))
     with Processes(1) as processes:
         with no_file_larger_than(500), pytest.raises(StorageError) as caught:
             run_batch(jobs, str(tmp_path), lambda: processes, QUIET)
@@ -142,7 +142,7 @@ def started(*command: str) -> Iterator[subprocess.Popen[str]]:
 
 def test_another_scheduler_gives_the_same_table(museum: Path, done: Done, tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="a scheduler needs the extra 'batch'")
-    jobs = list_jobs([str(museum / "captures")], Request(museum / "room.yaml"))
+    jobs = list_jobs([str(museum / "captures")], BatchRequest(museum / "room.yaml"))
     file = tmp_path / "scheduler.json"
     scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
     with started(*scheduler, "--no-dashboard"):
@@ -190,7 +190,7 @@ def test_mistakes_give_messages(
 
 
 def test_a_process_beyond_its_memory_limit_is_ended(museum: Path, tmp_path: Path) -> None:
-    jobs = list_jobs([str(museum / "captures" / "dark")], Request(museum / "room.yaml"))
+    jobs = list_jobs([str(museum / "captures" / "dark")], BatchRequest(museum / "room.yaml"))
     with Processes(1, memory_bytes=50e6) as processes:  # less than the libraries alone
         found = run_batch(jobs, str(tmp_path), lambda: processes, QUIET)
     assert [(row.exit_code, row.reason) for row in found.rows] == [

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scanner.batch import listing
-from scanner.batch.listing import Request, list_jobs
-from scanner.batch.rows import Row
+from scanner.batch.listing import BatchRequest, list_jobs
+from scanner.batch.rows import BatchRow
 from scanner.configuration import load_config
 from scanner.errors import InputError
 
@@ -30,7 +30,7 @@ def museum(tmp_path: Path) -> Path:
 
 
 def test_captures_below_a_folder_are_named_by_their_relative_paths(museum: Path) -> None:
-    jobs = list_jobs([str(museum)], Request())
+    jobs = list_jobs([str(museum)], BatchRequest())
     assert [job.name for job in jobs] == ["hall/a", "hall/b", "vase", "yard"]
     assert [Path(job.capture) for job in jobs] == [
         museum / name for name in ("hall/a", "hall/b", "vase/capture", "yard")
@@ -38,13 +38,13 @@ def test_captures_below_a_folder_are_named_by_their_relative_paths(museum: Path)
 
 
 def test_single_captures_and_glob_patterns(museum: Path) -> None:
-    assert [job.name for job in list_jobs([str(museum / "yard")], Request())] == ["yard"]
-    assert [job.name for job in list_jobs([str(museum / "h*" / "*")], Request())] == ["a", "b"]
+    assert [job.name for job in list_jobs([str(museum / "yard")], BatchRequest())] == ["yard"]
+    assert [job.name for job in list_jobs([str(museum / "h*" / "*")], BatchRequest())] == ["a", "b"]
 
 
 def test_captures_of_the_same_name_are_distinguished_and_listed_once(museum: Path) -> None:
     capture(museum / "other" / "a")
-    jobs = list_jobs([str(museum / "hall"), str(museum / "other"), str(museum / "hall" / "a")], Request())
+    jobs = list_jobs([str(museum / "hall"), str(museum / "other"), str(museum / "hall" / "a")], BatchRequest())
     assert [(job.name, Path(job.capture).parent.name) for job in jobs] == [
         ("a", "hall"),
         ("a-2", "other"),
@@ -61,7 +61,7 @@ def test_a_list_gives_each_capture_its_options(museum: Path) -> None:
         f"{museum}/hall/b,,,known.yaml,\n"
         "yard,,rig.yaml,,corner.squareness_deg=0.2; method=paper\n"
     )
-    b, first, yard = list_jobs([str(museum / "list.csv")], Request(overrides=("method=refined",)))
+    b, first, yard = list_jobs([str(museum / "list.csv")], BatchRequest(overrides=("method=refined",)))
     assert (first.name, first.config.corner.squareness_deg, first.calibration) == ("first", 0.1, None)
     assert (b.name, b.config.corner.squareness_deg, b.calibration) == ("b", 0.3, "text of a calibration")
     assert (yard.name, yard.config.corner.squareness_deg, yard.config.method) == ("yard", 0.2, "paper")
@@ -71,16 +71,16 @@ def test_a_list_reads_shared_files_once(museum: Path, monkeypatch: pytest.Monkey
     counted = Mock(wraps=load_config)
     monkeypatch.setattr(listing, "load_config", counted)
     (museum / "list.csv").write_text("capture,set\nhall/a,\nhall/b,\nyard,method=paper\n")
-    jobs = list_jobs([str(museum / "list.csv")], Request())
+    jobs = list_jobs([str(museum / "list.csv")], BatchRequest())
     assert [job.config.method for job in jobs] == ["refined", "refined", "paper"]
     assert [read.args for read in counted.call_args_list] == [(None, ()), (None, ("method=paper",))]
 
 
 def test_the_digest_of_a_task_changes_with_every_relevant_input(museum: Path) -> None:
-    plain = list_jobs([str(museum)], Request())
-    assert [job.asked for job in list_jobs([str(museum)], Request())] == [job.asked for job in plain]
+    plain = list_jobs([str(museum)], BatchRequest())
+    assert [job.asked for job in list_jobs([str(museum)], BatchRequest())] == [job.asked for job in plain]
     (museum / "known.yaml").write_text("text")
-    for other in (Request(overrides=("method=paper",)), Request(calibration=str(museum / "known.yaml"))):
+    for other in (BatchRequest(overrides=("method=paper",)), BatchRequest(calibration=str(museum / "known.yaml"))):
         changed = list_jobs([str(museum)], other)
         assert not {job.asked for job in changed} & {job.asked for job in plain}
 
@@ -88,7 +88,7 @@ def test_the_digest_of_a_task_changes_with_every_relevant_input(museum: Path) ->
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_line_endings_of_any_system_are_read(museum: Path, end: str) -> None:
     (museum / "list.csv").write_bytes(end.join(["capture,name", "hall/a,first", "yard,last", ""]).encode())
-    assert [job.name for job in list_jobs([str(museum / "list.csv")], Request())] == ["first", "last"]
+    assert [job.name for job in list_jobs([str(museum / "list.csv")], BatchRequest())] == ["first", "last"]
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_line_endings_of_any_system_are_read(museum: Path, end: str) -> None:
 def test_a_malformed_list_is_refused(museum: Path, text: str, message: str) -> None:
     (museum / "list.csv").write_text(text)
     with pytest.raises(InputError, match=message):
-        list_jobs([str(museum / "list.csv")], Request())
+        list_jobs([str(museum / "list.csv")], BatchRequest())
 
 
 @pytest.mark.parametrize("source", ["nothing-there", "nothing-*", "nothing.csv"])
@@ -124,7 +124,7 @@ def test_nothing_to_do_is_an_error(tmp_path: Path, source: str) -> None:
     (tmp_path / "empty").mkdir()
     for wanted in (tmp_path / source, tmp_path / "empty"):
         with pytest.raises(InputError, match=r"none|no such|cannot be read"):
-            list_jobs([str(wanted)], Request())
+            list_jobs([str(wanted)], BatchRequest())
 
 
 _numbers = st.none() | st.floats(allow_nan=False, allow_infinity=False)
@@ -134,20 +134,20 @@ _numbers = st.none() | st.floats(allow_nan=False, allow_infinity=False)
 def test_a_row_reads_back_the_same(
     name: str, code: int, reason: str | None, residual: float | None, matches: int | None
 ) -> None:
-    row = Row(name, "capture", "result", code, reason=reason, residual_px=residual, matches=matches)
-    assert Row.from_json(row.to_json(), "here") == row
+    row = BatchRow(name, "capture", "result", code, reason=reason, residual_px=residual, matches=matches)
+    assert BatchRow.from_json(row.to_json(), "here") == row
 
 
 @pytest.mark.parametrize("data", [b"", b"[]", b"{", b'{"name": "x"}', b"\xff", b"3", b"[" * 100_000])
 def test_a_malformed_row_is_ignored(data: bytes) -> None:
     with pytest.raises(InputError, match="here: expected a row"):
-        Row.from_json(data, "here")
+        BatchRow.from_json(data, "here")
 
 
 @pytest.mark.parametrize(
     ("name", "value"), [("seconds", "x"), ("exit_code", "0"), ("matches", 10**30), ("grade", "<b>"), ("name", ["x"])]
 )
 def test_a_row_with_impossible_values_is_ignored(name: str, value: object) -> None:
-    changed = json.loads(Row("x", "capture", "result", 0).to_json()) | {name: value}
+    changed = json.loads(BatchRow("x", "capture", "result", 0).to_json()) | {name: value}
     with pytest.raises(InputError, match=r"here: expected a row of a batch"):
-        Row.from_json(json.dumps(changed).encode(), "here")
+        BatchRow.from_json(json.dumps(changed).encode(), "here")

@@ -8,7 +8,7 @@ import pytest
 
 from calib.numerics import use_processors
 from scanner.batch.cluster import DaskWorkers
-from scanner.batch.listing import Request, list_jobs
+from scanner.batch.listing import BatchRequest, list_jobs
 from scanner.batch.location import Location
 from scanner.batch.running import run_batch
 from scanner.ui import Terminal
@@ -52,7 +52,7 @@ def test_captures_and_results_in_remote_storage(where: str, museum: Path, reques
     system, path = fsspec.url_to_fs(root)
     system.put(f"{museum / 'captures/hall/one'}/", f"{path}/captures/hall/one/", recursive=True)
     system.pipe_file(f"{path}/captures/broken/capture.yaml", b"format: 1")
-    jobs = list_jobs([f"{root}/captures"], Request(museum / "room.yaml"))
+    jobs = list_jobs([f"{root}/captures"], BatchRequest(museum / "room.yaml"))
     assert [(job.name, job.capture) for job in jobs] == [
         ("broken", f"{root.replace('memory://', 'memory:///')}/captures/broken"),
         ("hall/one", f"{root.replace('memory://', 'memory:///')}/captures/hall/one"),

@@ -20,7 +20,7 @@ from scanner.checking.exposure import exposure_levels, exposure_row, propose_exp
 from scanner.checking.fringes import FringeMeter
 from scanner.checking.light import Light, ambient_share, flicker_of, ghost_of, light_rows, photograph_light
 from scanner.checking.pixels import pixel_row
-from scanner.checking.report import CheckReport, CheckRow, State
+from scanner.checking.report import CheckReport, CheckRow, CheckState
 from scanner.checking.response import measure_ramp, ramp_of, response_row
 from scanner.checking.steadiness import InitialState, levels_of, patterns, row_of, steadiness_row
 from scanner.decoding import Decoding
@@ -44,7 +44,7 @@ NAMES = [
 
 def test_a_good_rig_is_ok_in_every_row(usual: CheckReport) -> None:
     assert [row.name for row in usual.rows] == NAMES
-    assert {row.name: row.state for row in usual.rows if row.state != State.OK} == {}
+    assert {row.name: row.state for row in usual.rows if row.state != CheckState.OK} == {}
     assert usual.failure is None
     assert not any(row.advice for row in usual.rows)
     assert set(usual.pictures) == {"saturation", "coverage", "contrast"}
@@ -80,7 +80,7 @@ def test_the_proposed_exposure_uses_the_range_and_saturates_nothing(room: Simula
     brightest = float(np.quantile(electrons, 0.999)) / room.sensor.full_well_electrons
     assert 0.75 < brightest < 0.99
     found = exposure_row(proposal, 240.0, bracketed=False)
-    assert found.state == (State.OK if start == 1.0 else State.POOR)
+    assert found.state == (CheckState.OK if start == 1.0 else CheckState.POOR)
     if start > 2:
         assert "clipped" in found.finding
         assert "--write" in found.advice
@@ -91,28 +91,28 @@ def test_an_exposure_that_cannot_be_short_enough_is_reported(room: SimulatedRoom
     proposal = propose_exposure(rig)
     assert proposal.exposure_us is None
     found = exposure_row(proposal, 10.0, bracketed=False)
-    assert found.state == State.POOR
+    assert found.state == CheckState.POOR
     assert "close the aperture" in found.advice
 
 
-@pytest.mark.parametrize(("part", "state"), [(0.2, State.POOR), (1.0, State.OK), (3.0, State.POOR)])
+@pytest.mark.parametrize(("part", "state"), [(0.2, CheckState.POOR), (1.0, CheckState.OK), (3.0, CheckState.POOR)])
 def test_a_fixed_exposure_is_judged(
-    monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom, part: float, state: State
+    monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom, part: float, state: CheckState
 ) -> None:
     monkeypatch.setattr(SimulatedCamera, "capabilities", Capabilities())
     rig = rig_in(changed(room, exposure_us=part * room.sensor.exposure_us, refresh_hz=240.0))
     found = exposure_row(propose_exposure(rig), 240.0, bracketed=False)
     assert found.state == state
-    assert ("by hand" in found.advice) == (state == State.POOR)
+    assert ("by hand" in found.advice) == (state == CheckState.POOR)
 
 
-@pytest.mark.parametrize(("ambient", "state"), [(0.02, State.OK), (0.3, State.OK), (1.5, State.POOR)])
-def test_ambient_light(room: SimulatedRoom, ambient: float, state: State) -> None:
+@pytest.mark.parametrize(("ambient", "state"), [(0.02, CheckState.OK), (0.3, CheckState.OK), (1.5, CheckState.POOR)])
+def test_ambient_light(room: SimulatedRoom, ambient: float, state: CheckState) -> None:
     lit_room = changed(room, ambient=ambient)
     light = photograph_light(rig_in(lit_room), 2, 2)
     found = {row.name: row for row in light_rows(light)}["ambient light"]
     assert found.state == state
-    assert ("Darken" in found.advice) == (state == State.POOR)
+    assert ("Darken" in found.advice) == (state == CheckState.POOR)
     dark, bright = (lit_room.electrons(np.full_like(WHITE, level)) for level in (0, 255))
     lit = np.isfinite(room.ground_truth().projector_px).all(axis=2)
     true = float(np.median(dark[lit] / bright[lit]))
@@ -126,12 +126,12 @@ def test_pulsating_light_flickers_unless_exposures_are_whole_periods(room: Simul
     expected = 0.3 / (1.5 * np.pi) / np.sqrt(2)  # of 1 + m sinc(1.5) cos φ
     assert flicker_of(light).white == pytest.approx(expected, rel=0.35)
     found = {row.name: row for row in light_rows(light)}["flicker"]
-    assert found.state == State.POOR
+    assert found.state == CheckState.POOR
     assert "projector" in found.advice
     exposure_control(rig.camera).expose_for(2 * PERIOD_US)
     assert 1e-6 < flicker_of(photograph_light(rig, 6, 4)).white < 0.002
     advised = exposure_row(propose_exposure(rig_in(pulsating)), 60.0, bracketed=False)
-    assert advised.state == State.POOR
+    assert advised.state == CheckState.POOR
     assert "differ by" in advised.finding
 
 
@@ -140,12 +140,12 @@ def test_ghosting_of_the_last_picture_is_measured(room: SimulatedRoom, ghost: fl
     light = photograph_light(rig_in(changed(room, ghost=ghost)), 6, 4)
     assert ghost_of(light) == pytest.approx(ghost, abs=0.002)
     found = {row.name: row for row in light_rows(light)}["ghost"]
-    assert found.state == (State.POOR if ghost else State.OK)
+    assert found.state == (CheckState.POOR if ghost else CheckState.OK)
 
 
 def test_ghosting_does_not_change_other_rows(room: SimulatedRoom) -> None:
     report = check_rig(rig_in(changed(room, ghost=0.3, exposure_us=PERIOD_US)), config(), QUIET)
-    assert {row.name for row in report.rows if row.state != State.OK} == {"ghost"}
+    assert {row.name for row in report.rows if row.state != CheckState.OK} == {"ghost"}
     assert "nothing moved by more than noise" in row(report, "steadiness").finding
     assert row(report, "response").finding == "gamma 2.20"
     assert report.failure is None
@@ -155,7 +155,7 @@ def test_a_mirrored_picture_is_reported(room: SimulatedRoom) -> None:
     rig = rig_in(changed(room, panel={"mirrored": True}))
     quick = view.take_quick(rig, config(), FringeMeter(), QUIET)
     found, failure = view.view_row(quick, config(), [])
-    assert found.state == State.FAILED
+    assert found.state == CheckState.FAILED
     assert "the projector mirrors its picture" in found.finding
     assert "rear projection" in found.advice
     assert failure is not None
@@ -183,7 +183,7 @@ def test_the_contrast_of_single_pixels_is_measured(
     percent, *_ = re.findall(r"(\d+) %", found.finding)
     assert 100 * least < float(percent) < 100 * most
     assert said in found.advice
-    assert found.state == (State.POOR if said else State.OK)
+    assert found.state == (CheckState.POOR if said else CheckState.OK)
 
 
 @pytest.mark.parametrize(("device", "px"), [("projector", 0.0), ("projector", 0.3), ("camera", 0.3)])
@@ -197,7 +197,7 @@ def test_motion_during_the_check_is_reported(room: SimulatedRoom, device: str, p
     now = levels_of(capture(later, patterns()).frames)
     found = steadiness_row(later, before, now, view.projector_map(quick.decoding))
     assert found is not None
-    assert found.state == (State.POOR if px else State.OK)
+    assert found.state == (CheckState.POOR if px else CheckState.OK)
     moved = re.search(r"the (\w+) moved by ([0-9.]+) px", found.finding)
     assert (moved is not None) == (px > 0)
     if moved:
@@ -207,7 +207,7 @@ def test_motion_during_the_check_is_reported(room: SimulatedRoom, device: str, p
 
 def test_a_lamp_still_warming_up_is_reported() -> None:
     still = RigidFit(np.zeros(8), np.eye(8), 0.0)
-    assert row_of(still, -0.2, 60).state == State.OK
+    assert row_of(still, -0.2, 60).state == CheckState.OK
     assert "warm" in row_of(still, -0.8, 60).advice
 
 
@@ -221,7 +221,7 @@ def test_flickering_lamps_are_distinguished_from_the_projector() -> None:
     lamp = iter([8, -9, 12, -10, 7, -8, 11, -9, 10, -12])
     light = Light(tuple(frame(180, next(lamp)) for _ in range(6)), tuple(frame(40, next(lamp)) for _ in range(4)), 255)
     (found,) = [row for row in light_rows(light) if row.name == "flicker"]
-    assert found.state == State.POOR
+    assert found.state == CheckState.POOR
     assert "mains" in found.advice
 
 
@@ -232,14 +232,14 @@ def test_the_response_is_measured(room: SimulatedRoom, gamma: float) -> None:
     assert ramp.response.gamma == pytest.approx(gamma, abs=0.03)
     true = np.linspace(0, 1, 256) ** gamma
     assert 1e-6 < np.abs(ramp.response.of_levels - true).max() < 0.01
-    assert response_row(ramp).state == State.OK
+    assert response_row(ramp).state == CheckState.OK
 
 
 def test_a_clipping_response_is_reported() -> None:
     levels = np.linspace(0, 1, 16)
     clipping = ramp_of(np.minimum(1, 1.3 * levels))
     assert clipping.response is None
-    assert response_row(clipping).state == State.POOR
+    assert response_row(clipping).state == CheckState.POOR
     assert "above grey level 20" in response_row(clipping).finding
     assert response_row(ramp_of(levels**2.2)).finding == "gamma 2.20"
     assert "off a power law" in response_row(ramp_of((levels + levels**3) / 2)).finding
@@ -272,17 +272,17 @@ def test_directions_to_turn_the_camera(middle: tuple[float, float], words: str) 
 def test_a_camera_that_looks_past_the_picture_gets_directions(usual: CheckReport) -> None:
     seen = np.zeros((18, 32), bool)
     seen[:, :8] = True
-    coverage = view.Coverage(0.01, (-0.4, 0.0), 0.25, (-0.375, 0.0), seen, 1.0)
+    coverage = view.PictureCoverage(0.01, (-0.4, 0.0), 0.25, (-0.375, 0.0), seen, 1.0)
     found = view.coverage_row(coverage, decoding_with(np.ones((4, 4), np.uint8)))
-    assert found.state == State.POOR
+    assert found.state == CheckState.POOR
     assert "Turn the camera to the left" in found.advice
     assert "Turn the projector to the left" in found.advice
 
 
 def test_undecoded_lit_pixels_give_no_directions() -> None:
-    coverage = view.Coverage(0.02, (-0.4, 0.0), 0.4, (0.0, 0.0), np.ones((18, 32), bool), 1.0)
+    coverage = view.PictureCoverage(0.02, (-0.4, 0.0), 0.4, (0.0, 0.0), np.ones((18, 32), bool), 1.0)
     found = view.coverage_row(coverage, decoding_with(np.array([[0, 3, 3, 7]], np.uint8)))
-    assert found.state == State.POOR
+    assert found.state == CheckState.POOR
     assert "only 25 % of the lit pixels decode" in found.finding
     assert "Turn" not in found.advice
 
@@ -317,9 +317,9 @@ def test_a_camera_that_sees_no_light_fails_with_what_to_do() -> None:
     blind = Blind()
     report = check_rig(Rig(blind, blind), config(), QUIET)
     assert isinstance(report.failure, RefusalError)
-    assert report.state == State.FAILED
+    assert report.state == CheckState.FAILED
     assert "lens cap" in row(report, "coverage").advice
-    assert row(report, "exposure").state == State.FAILED
+    assert row(report, "exposure").state == CheckState.FAILED
 
 
 def test_a_device_that_fails_ends_the_check_with_what_is_known() -> None:
@@ -328,7 +328,7 @@ def test_a_device_that_fails_ends_the_check_with_what_is_known() -> None:
     assert isinstance(report.failure, DeviceError)
     assert [row.name for row in report.rows][:3] == ["camera", "projector", "latency"]
     assert "it is gone" in report.rows[-1].finding
-    assert report.rows[-1].state == State.FAILED
+    assert report.rows[-1].state == CheckState.FAILED
 
 
 def test_everything_white_is_overexposed_not_dark() -> None:

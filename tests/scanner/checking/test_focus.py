@@ -10,7 +10,7 @@ from hw.simulated import SimulatedRoom
 from scanner.checking.check import check_rig
 from scanner.checking.focus import BlurSamples, period_for, separate_lenses
 from scanner.checking.focus_row import amplitude_left, finest_period_px, focus_row
-from scanner.checking.report import State
+from scanner.checking.report import CheckState
 from scanner.patterns import sequence_for
 from scanner.ui import Terminal
 from tests.support.check_bench import PERIOD_US, changed, config, rig_in, row
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.xdist_group("checking")
 def test_the_defocused_lens_is_named(room: SimulatedRoom, blur: dict[str, float], advice: str) -> None:
     report = check_rig(rig_in(changed(room, exposure_us=PERIOD_US, **blur)), config(), Terminal(quiet=True))
     found = row(report, "focus")
-    assert found.state == State.POOR
+    assert found.state == CheckState.POOR
     assert found.advice.startswith(advice)
 
 
@@ -53,14 +53,14 @@ def test_blur_is_split_between_the_lenses(projector: float, camera: float) -> No
 def test_a_probably_defocused_lens_is_named_as_probable() -> None:
     samples = replace(samples_of(1.25, 0.5), doubt2=np.full(200, 0.2))
     found = focus_row(samples, separate_lenses(samples), 6.7)
-    assert found.state == State.POOR
+    assert found.state == CheckState.POOR
     assert found.advice.startswith("Focus the projector, which seems to be the one")
 
 
 def test_undecidable_blur_is_not_attributed() -> None:
     samples = samples_of(1.5, 1.5, noise=0.05, even=True)
     found = focus_row(samples, separate_lenses(samples), 6.7)
-    assert found.state == State.POOR
+    assert found.state == CheckState.POOR
     assert "does not show which lens" in found.advice
 
 
@@ -72,14 +72,14 @@ def test_advice(projector: float, camera: float, advice: str) -> None:
     samples = samples_of(projector, camera)
     found = focus_row(samples, separate_lenses(samples), 6.7)
     assert found.advice.startswith(advice)
-    assert (found.state == State.OK) == (advice == "")
+    assert (found.state == CheckState.OK) == (advice == "")
 
 
 def test_a_coarse_camera_gets_no_focus_advice() -> None:
     samples = samples_of(0.3, 0.5)
     coarse = BlurSamples(0.3**2 + 0.5**2 * (4 * samples.span) ** 2, 4 * samples.span, *vars_of(samples))
     found = focus_row(coarse, separate_lenses(coarse), 6.7)
-    assert found.state == State.POOR
+    assert found.state == CheckState.POOR
     assert "too coarse" in found.advice
 
 
@@ -97,7 +97,7 @@ def test_the_most_blurred_part_of_the_image_is_named() -> None:
 def test_stripes_blurred_away_everywhere_are_reported() -> None:
     none = np.zeros(0)
     found = focus_row(BlurSamples(none, none, np.zeros((0, 2)), none, 1.0), None, 6.7)
-    assert found.state == State.FAILED
+    assert found.state == CheckState.FAILED
 
 
 def test_amplitude_and_periods() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from hw.aravis import AravisRigSettings
 from scanner.console.results import earlier_results
-from scanner.console.settings import Picture, Settings, drawn
+from scanner.console.settings import IdlePicture, ConsoleSettings, drawn
 from scanner.errors import InputError
 from scanner.patterns import sequence_for
 
@@ -18,10 +18,10 @@ CONFIG = "rig: {backend: aravis, exposure_us: 1000}\ncamera: {width: 32, height:
 def test_the_page_overrides_the_command_line_and_the_file(tmp_path: Path) -> None:
     path = tmp_path / "room.yaml"
     path.write_text(CONFIG)
-    assert Settings(path).load().required_rig.exposure_us == 1000
-    overridden = Settings(path, ("rig.exposure_us=2000",))
+    assert ConsoleSettings(path).load().required_rig.exposure_us == 1000
+    overridden = ConsoleSettings(path, ("rig.exposure_us=2000",))
     assert overridden.load().required_rig.exposure_us == 2000
-    changed = Settings(path, ("rig.exposure_us=2000",), exposure_us=3000.5, gain=-1.5).load().required_rig
+    changed = ConsoleSettings(path, ("rig.exposure_us=2000",), exposure_us=3000.5, gain=-1.5).load().required_rig
     assert isinstance(changed, AravisRigSettings)
     assert (changed.exposure_us, changed.gain) == (3000.5, -1.5)
 
@@ -30,7 +30,7 @@ def test_an_impossible_exposure_is_refused_as_in_the_file(tmp_path: Path) -> Non
     path = tmp_path / "room.yaml"
     path.write_text(CONFIG)
     with pytest.raises(InputError, match="exposure_us"):
-        Settings(path, exposure_us=-5.0).load()
+        ConsoleSettings(path, exposure_us=-5.0).load()
 
 
 NETWORK = CONFIG + "rigs: {cameras: {left: {}, right: {rig: {exposure_us: 500}}}, projectors: {stage: {}, side: {}}}\n"
@@ -45,7 +45,7 @@ def test_exposure_setting_applies_to_the_cameras_in_view(
 ) -> None:
     path = tmp_path / "hall.yaml"
     path.write_text(NETWORK)
-    pairs = Settings(path, pair=pair, exposure_us=3000).load_whole().pairs
+    pairs = ConsoleSettings(path, pair=pair, exposure_us=3000).load_whole().pairs
     for (camera, _), config in pairs.items():
         assert config.required_rig.exposure_us == exposures[camera]
 
@@ -53,20 +53,20 @@ def test_exposure_setting_applies_to_the_cameras_in_view(
 def test_network_view_cycles_through_cameras_or_shows_the_chosen_pair(tmp_path: Path) -> None:
     path = tmp_path / "hall.yaml"
     path.write_text(NETWORK)
-    settings = Settings(path)
+    settings = ConsoleSettings(path)
     assert [each.pair for each in settings.in_turn()] == [("left", "stage"), ("right", "stage")]
     assert [each.load().required_rig.exposure_us for each in settings.in_turn()] == [1000, 500]
-    chosen = Settings(path, pair=("right", "side"))
+    chosen = ConsoleSettings(path, pair=("right", "side"))
     assert chosen.in_turn() == (chosen,)
     assert chosen.rig_key == "rigs.cameras.right.rig"
     with pytest.raises(InputError, match="choose a camera and a projector"):
         settings.load()
     with pytest.raises(InputError, match="names no camera third with a projector stage any more"):
-        Settings(path, pair=("third", "stage")).load()
+        ConsoleSettings(path, pair=("third", "stage")).load()
 
 
-@pytest.mark.parametrize(("picture", "levels"), [(Picture.WHITE, {255}), (Picture.BLACK, {0})])
-def test_plain_pictures_are_offered(picture: Picture, levels: set[int]) -> None:
+@pytest.mark.parametrize(("picture", "levels"), [(IdlePicture.WHITE, {255}), (IdlePicture.BLACK, {0})])
+def test_plain_pictures_are_offered(picture: IdlePicture, levels: set[int]) -> None:
     image = drawn(picture, sequence_for((64, 48), cell=8, shifts=3), (64, 48))
     assert image.shape == (48, 64)
     assert set(np.unique(image)) == levels
@@ -74,7 +74,7 @@ def test_plain_pictures_are_offered(picture: Picture, levels: set[int]) -> None:
 
 def test_stripes_are_offered_with_and_without_fringes() -> None:
     for shifts in (0, 3):
-        image = drawn(Picture.STRIPES, sequence_for((64, 48), cell=8, shifts=shifts), (64, 48))
+        image = drawn(IdlePicture.STRIPES, sequence_for((64, 48), cell=8, shifts=shifts), (64, 48))
         assert image.max() > 200
         assert image.min() < 50
 

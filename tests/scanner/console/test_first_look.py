@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scanner import load_config, scan
-from scanner.console.settings import Settings
+from scanner.console.settings import ConsoleSettings
 from scanner.console.worker import Activity, Worker
 from scanner.io import read_cloud
 from scanner.results import CLOUD_FILE, Scan
@@ -55,7 +55,7 @@ def test_the_page_gets_the_preview_once_and_before_the_result(config: Path) -> N
             raise ZeroDivisionError
 
     page = Broken()
-    worker = Worker(Settings(config), page)
+    worker = Worker(ConsoleSettings(config), page)
     worker.start()
     worker.request(Activity.SCANNING)
     until(lambda: page.results, patience_s=120)

@@ -10,7 +10,7 @@ from hw.rig import Frame
 from scanner.console import network_view
 from scanner.console.network_view import NetworkView
 from scanner.console.worker import Activity, Status
-from scanner.networks import Sight
+from scanner.networks import PairProgress
 from scanner.viewing import free_port
 
 
@@ -39,12 +39,12 @@ def test_progress_by_projector_and_a_picture_of_every_camera(
     view.show(Status(Activity.NETWORK))
     for projector in ("stage", "side"):
         for camera in ("left", "right"):
-            view.on_sight(Sight(camera, projector), None)
+            view.on_sight(PairProgress(camera, projector), None)
     assert progress.content == ""
     for done in range(1, 6):
         clock.now_s += 2.0
         for camera in ("left", "right"):  # captured together
-            view.on_sight(Sight(camera, "stage", 10, done), Frame(np.full((6, 8), 20 * done, np.uint8)))
+            view.on_sight(PairProgress(camera, "stage", 10, done), Frame(np.full((6, 8), 20 * done, np.uint8)))
     view.tick()
     # 10 of 20 frames in the 8 s since the first.
     assert "stage, 10 of 20 frames, about 8 s left" in progress.content
@@ -55,10 +55,10 @@ def test_progress_by_projector_and_a_picture_of_every_camera(
         assert f'alt="what {camera} sees"' in images.content
         assert f"{camera} in the light of stage" in images.content
     shown = images.content
-    view.on_sight(Sight("right", "stage", 10, 6), Frame(np.zeros((6, 8), np.uint8)))
+    view.on_sight(PairProgress("right", "stage", 10, 6), Frame(np.zeros((6, 8), np.uint8)))
     assert images.content == shown, "more often than one can see"
-    view.on_sight(Sight("left", "stage", 10, 10, 0.5), None)
-    view.on_sight(Sight("right", "stage", 10, 6, failure="the <cable> is out"), None)
+    view.on_sight(PairProgress("left", "stage", 10, 10, 0.5), None)
+    view.on_sight(PairProgress("right", "stage", 10, 6, failure="the <cable> is out"), None)
     view.show(Status())
     assert "stage, 16 of 20 frames</p>" in progress.content, "no time is left when nothing goes on"
     assert "right in the light of stage failed: the &lt;cable&gt; is out" in graph.content

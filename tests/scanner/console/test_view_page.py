@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from calib.geometry import Intrinsics
-from calib.pointcloud import View, build_cloud, merged
+from calib.pointcloud import CornerView, build_cloud, merged
 from scanner.commands import main
 from scanner.io import read_cloud, write_merged_ply
 from tests.support.browsing import Served, Visit, visiting
@@ -25,7 +25,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     written = write_result(folder / "room", camera=SMALL)
     (folder / "room" / "report.html").write_text("A report's own words", encoding="utf-8")
     cloud = build_cloud(written.scene.matches, written.scene.texture, written.scan.calibration)
-    view = View(cloud.points, None, SMALL, written.scene.corner)
+    view = CornerView(cloud.points, None, SMALL, written.scene.corner)
     write_merged_ply(folder / "room" / "merged.ply", merged([cloud], [view], (1,)))
     with Served(folder, "view", folder / "room") as served:
         yield served

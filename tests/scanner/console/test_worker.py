@@ -18,8 +18,8 @@ from hw.rig import Capabilities, Frame, Rig
 from scanner import pipeline
 from scanner.console import worker as worker_module
 from scanner.console.operating import chime
-from scanner.console.progress import CancelledError, Stage, StagedProgress, durations_in
-from scanner.console.settings import Picture, Settings, plain_name
+from scanner.console.progress import CancelledError, ProgressStep, StagedProgress, durations_in
+from scanner.console.settings import IdlePicture, ConsoleSettings, plain_name
 from scanner.console.worker import Activity, Status, Worker
 from scanner.networks import OnSight, Pair, Watched
 from scanner.patterns import White
@@ -99,7 +99,7 @@ def page() -> Notebook:
 def worker(wall: Wall, page: Notebook, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Worker]:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "wall.yaml").write_text(CONFIG)
-    worker = Worker(Settings(Path("wall.yaml")), page)
+    worker = Worker(ConsoleSettings(Path("wall.yaml")), page)
     worker.start()
     yield worker
     worker.close()
@@ -110,7 +110,7 @@ def test_the_live_image_follows_the_settings_on_one_open_rig(worker: Worker, pag
     assert worker.request(Activity.LIVE)
     until(lambda: page.frames)
     assert page.frames[-1].image.max() == 127
-    worker.change(exposure_us=20_000.0, picture=Picture.BLACK)
+    worker.change(exposure_us=20_000.0, picture=IdlePicture.BLACK)
     until(lambda: page.frames[-1].exposure_us == 20_000.0)
     until(lambda: page.frames[-1].image.max() == 0)
     assert wall.opened == 1
@@ -273,7 +273,7 @@ def test_a_device_of_a_network_that_fails_is_named_in_the_message_and_on_the_pag
         "failed: camera: it went away. Check the cable.",
     ]
     stages = [status.stage for status in page.statuses if status.stage]
-    assert Stage("right in the light of stage", 3, 4) in stages
+    assert ProgressStep("right in the light of stage", 3, 4) in stages
     assert page.results == []
 
 
@@ -340,7 +340,7 @@ def test_progress_shows_frames_and_stops_between_them() -> None:
     cancelled.set()
     with pytest.raises(CancelledError):
         next(taken)
-    assert stages == [Stage("Capturing", 0, 3), Stage("Capturing", 1, 3)]
+    assert stages == [ProgressStep("Capturing", 0, 3), ProgressStep("Capturing", 1, 3)]
     assert frames == [frame, frame]
     with pytest.raises(CancelledError), progress.step("Calibrating"):
         pytest.fail("a step began after it was cancelled")
@@ -358,10 +358,10 @@ def test_the_remaining_time_is_estimated_from_the_last_run(tmp_path: Path) -> No
     assert durations_in(tmp_path / "nothing") == {}
     log.write_text(log.read_text().replace("03:04:22,", "03:04:22+05,"))
     assert durations_in(log)["Calibrating"] == 7, "a damaged line"
-    assert Stage("Calibrating", began_s=100.0, usual_s=7.0).left_s(102.0) == 5.0
-    assert Stage("Calibrating", began_s=100.0, usual_s=7.0).left_s(120.0) == 0.0
-    assert Stage("Capturing", 5, 20, began_s=100.0, usual_s=1.0).left_s(110.0) == 30.0
-    assert Stage("Calibrating", began_s=100.0).left_s(110.0) is None
+    assert ProgressStep("Calibrating", began_s=100.0, usual_s=7.0).left_s(102.0) == 5.0
+    assert ProgressStep("Calibrating", began_s=100.0, usual_s=7.0).left_s(120.0) == 0.0
+    assert ProgressStep("Capturing", 5, 20, began_s=100.0, usual_s=1.0).left_s(110.0) == 30.0
+    assert ProgressStep("Calibrating", began_s=100.0).left_s(110.0) is None
 
 
 def test_the_sound_is_valid() -> None:
@@ -372,5 +372,5 @@ def test_the_sound_is_valid() -> None:
 
 
 def test_a_stage_in_per_cent() -> None:
-    assert Stage("x", 5, 20).percent == 25
-    assert Stage("x").percent == 0
+    assert ProgressStep("x", 5, 20).percent == 25
+    assert ProgressStep("x").percent == 0

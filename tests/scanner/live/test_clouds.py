@@ -8,7 +8,7 @@ import pytest
 from calib.geometry import intersect_rays
 from calib.numerics import Bools, Floats
 from scanner.configuration import Config
-from scanner.live.cloud import Decoder, LiveCloud
+from scanner.live.cloud import LiveDecoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import matches_of
 from scanner.live.rounds import best_sequence, take_rounds
@@ -20,11 +20,11 @@ DEPTHS = (0.35, 0.7)
 _BEFORE = 29  # frames of the first look, and of the first round
 
 
-def begun(bench: LiveBench, depths: tuple[float, float] | None = DEPTHS) -> tuple[FirstLook, LiveSequence, Decoder]:
+def begun(bench: LiveBench, depths: tuple[float, float] | None = DEPTHS) -> tuple[FirstLook, LiveSequence, LiveDecoder]:
     seen = look(bench.rig, Config())
     sequence = best_sequence(bench.rig, seen, bench.calibration, depths)
     assert bench.taken == _BEFORE
-    return seen, sequence, Decoder(sequence, seen, bench.calibration)
+    return seen, sequence, LiveDecoder(sequence, seen, bench.calibration)
 
 
 def clouds_of(bench: LiveBench, number: int, depths: tuple[float, float] | None = DEPTHS) -> list[LiveCloud | None]:

@@ -18,7 +18,7 @@ from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.io import read_matches, write_calibration
 from scanner.live import jobs
-from scanner.live.cloud import Decoder, LiveCloud, Round
+from scanner.live.cloud import LiveDecoder, LiveCloud, Round
 from scanner.live.first_look import FirstLook
 from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
 from scanner.live.rounds import best_sequence, take_rounds
@@ -190,7 +190,7 @@ def test_memory_does_not_grow_over_ten_thousand_clouds() -> None:
             if number % 1000 == 999:
                 pages.append(int(Path("/proc/self/statm").read_text().split()[1]))
 
-    decoder = Decoder(sequence, seen, bench.calibration)
+    decoder = LiveDecoder(sequence, seen, bench.calibration)
     watch(taken(), decoder, lambda _, __: done.set(), lambda: False, account)
     assert account.clouds > 9_900
     assert np.median(np.diff(pages)) * 4096 < 200_000  # a frame of each cloud would be 400,000 per 1000 of them
@@ -218,7 +218,7 @@ def test_a_camera_that_loses_every_frame_has_failed(tmp_path: Path, bench: LiveB
         live(tmp_path, bench, Wishes(), Acting())
 
 
-def _still(bench: LiveBench) -> tuple[list[Round], Decoder]:
+def _still(bench: LiveBench) -> tuple[list[Round], LiveDecoder]:
     """Some rounds of a static scene, and their decoder."""
     seen, sequence, decoder = begun(bench)
     taken = islice(take_rounds(bench.rig, sequence, seen.response), 3)

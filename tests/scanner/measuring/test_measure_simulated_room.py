@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hw.settings import SimulatedRigSettings
-from hw.simulated import Room, place_room, true_calibration
+from hw.simulated import DrawnRoom, place_room, true_calibration
 from scanner.commands import main
 from scanner.quantities import Quantity
 
@@ -18,13 +18,13 @@ pytestmark = pytest.mark.xdist_group("measured room")
 
 
 @pytest.fixture(scope="module")
-def room() -> Room:
+def room() -> DrawnRoom:
     settings = SimulatedRigSettings(seed=0, sphere_radius_m=RADIUS_M, ball_bar_m=BAR_M)
     return place_room(settings, CAMERA, PROJECTOR)
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory, room: Room) -> Path:
+def result(tmp_path_factory: pytest.TempPathFactory, room: DrawnRoom) -> Path:
     folder = tmp_path_factory.mktemp("measured")
     config = folder / "room.yaml"
     config.write_text(
@@ -38,7 +38,7 @@ def result(tmp_path_factory: pytest.TempPathFactory, room: Room) -> Path:
     return folder / "room"
 
 
-def test_the_ball_of_a_simulated_room(result: Path, room: Room, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_ball_of_a_simulated_room(result: Path, room: DrawnRoom, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["measure", str(result), "--sphere", "240mm", "--shares"]) == 0
     assert "1 m in the middle of this scene is known to ± " in capsys.readouterr().out
     document = json.loads((result.with_name("room-measured") / "measure.json").read_text())

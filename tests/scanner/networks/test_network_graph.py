@@ -7,18 +7,18 @@ from xml.etree import ElementTree
 import pytest
 
 from scanner.networks.graph import network_graph
-from scanner.networks.sights import Sight
+from scanner.networks.sights import PairProgress
 
 ALL = [
-    Sight("left", "stage", 21, 21, 0.171),
-    Sight("right", "stage", 21, 21, 0.684),
-    Sight("left", "side", 21, 4),
-    Sight("right", "side", failure="the cable is out"),
-    Sight("third", "side"),
+    PairProgress("left", "stage", 21, 21, 0.171),
+    PairProgress("right", "stage", 21, 21, 0.684),
+    PairProgress("left", "side", 21, 4),
+    PairProgress("right", "side", failure="the cable is out"),
+    PairProgress("third", "side"),
 ]
 
 
-def drawn(sights: list[Sight]) -> ElementTree.Element:
+def drawn(sights: list[PairProgress]) -> ElementTree.Element:
     return ElementTree.fromstring(str(network_graph(sights)))
 
 
@@ -47,7 +47,7 @@ def test_each_pair_shows_its_state_with_a_text_alternative() -> None:
 @pytest.mark.parametrize(("cameras", "projectors"), [(1, 2), (2, 1), (2, 2), (4, 4), (8, 2), (2, 8)])
 def test_no_label_lies_on_another_and_none_on_a_name(cameras: int, projectors: int) -> None:
     svg = drawn(
-        [Sight(f"camera_{i}", f"projector_{j}", 21, 21, 0.987) for j in range(projectors) for i in range(cameras)]
+        [PairProgress(f"camera_{i}", f"projector_{j}", 21, 21, 0.987) for j in range(projectors) for i in range(cameras)]
     )
     boxes = [tuple(float(box.get(key, 0)) for key in ("x", "y", "width", "height")) for box in svg.iter("rect")]
     assert len(boxes) == cameras * projectors
@@ -58,6 +58,6 @@ def test_no_label_lies_on_another_and_none_on_a_name(cameras: int, projectors: i
 
 
 def test_a_folder_may_have_any_name() -> None:
-    svg = drawn([Sight('<b>&"', "a_projector_with_a_long_name", 1, 1, 1.0)])
+    svg = drawn([PairProgress('<b>&"', "a_projector_with_a_long_name", 1, 1, 1.0)])
     assert [text.text for text in svg.iter("text")] == ["100.0 %", '<b>&"', "a_projector_w…"]
-    assert not re.search("<b>", str(network_graph([Sight("<b>", "p")])))
+    assert not re.search("<b>", str(network_graph([PairProgress("<b>", "p")])))

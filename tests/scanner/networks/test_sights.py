@@ -8,7 +8,7 @@ import pytest
 from calib.geometry import Matches, Size
 from hw.rig import Frame
 from scanner.capture import CaptureMetadata
-from scanner.networks.sights import Sight, Watched, frames_in
+from scanner.networks.sights import PairProgress, Watched, frames_in
 from scanner.patterns import Black, White, pattern_to_dict
 from scanner.results import Decoded, GivenMatches, kept_text
 from scanner.ui import Terminal
@@ -22,7 +22,7 @@ def frame(level: int) -> Frame:
 
 
 def test_each_camera_captured_together_has_its_own_progress() -> None:
-    seen: list[tuple[Sight, int]] = []
+    seen: list[tuple[PairProgress, int]] = []
     items = [((White(), frame(10 + number)), (White(), frame(20 + number))) for number in range(2)]
 
     watched = Watched(PAIRS, Terminal(quiet=True), lambda sight, taken: seen.append((sight, _level(taken))))

@@ -141,7 +141,7 @@ def test_a_thing_that_is_hardly_measured_is_not_said_to_be_turned_too_far(kept: 
 def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], SolvedObject], tmp_path: Path) -> None:
     import trimesh
 
-    from scanner.exporting import FORMATS, Request
+    from scanner.exporting import FORMATS, ExportRequest
     from scanner.objects.save import save_object
     from scanner.results import read_finished_room
 
@@ -167,7 +167,7 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
     assert "5 stations are one thing" in (tmp_path / "report.html").read_text(encoding="utf-8")
     for name in ("stl", "3mf"):
         out = tmp_path / f"thing.{name}"
-        FORMATS[name].write(Request(tmp_path, out))
+        FORMATS[name].write(ExportRequest(tmp_path, out))
         if name == "stl":
             printed: Any = trimesh.load(out, process=True)
             assert printed.is_watertight

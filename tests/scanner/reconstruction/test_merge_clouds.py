@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Corner
-from calib.pointcloud import Cloud, View, build_cloud, cells_of, merged
+from calib.pointcloud import Cloud, CornerView, build_cloud, cells_of, merged
 from calib.self_calibration import Profile, SelfCalibration
 from scanner.capture import CaptureMetadata
 from scanner.reconstruction.merge_clouds import consistency, merge
@@ -25,15 +25,15 @@ def cloud(scene: Scene) -> Cloud:
 
 
 @pytest.fixture(scope="module")
-def view(scene: Scene, cloud: Cloud) -> View:
-    return View(cloud.points, scene.texture.mean(axis=2).astype(np.float32), scene.calibration.camera, scene.corner)
+def view(scene: Scene, cloud: Cloud) -> CornerView:
+    return CornerView(cloud.points, scene.texture.mean(axis=2).astype(np.float32), scene.calibration.camera, scene.corner)
 
 
 def renumbered(corner: Corner, turn: int) -> Corner:
     return Corner(corner.vertex, np.roll(corner.legs, turn, axis=0))
 
 
-def test_points_are_in_the_corners_frame(cloud: Cloud, view: View) -> None:
+def test_points_are_in_the_corners_frame(cloud: Cloud, view: CornerView) -> None:
     found = merged([cloud], [view], (0,))
     assert found.unit == "m"
     # The eye is at (1.5, 1.3, 1.2) in the room, whose corner is the origin.
@@ -45,7 +45,7 @@ def test_points_are_in_the_corners_frame(cloud: Cloud, view: View) -> None:
         assert 0.99 < np.median(found.normals[on_face, axis]) <= 1
 
 
-def test_a_voxel_holds_at_most_one_point(cloud: Cloud, view: View) -> None:
+def test_a_voxel_holds_at_most_one_point(cloud: Cloud, view: CornerView) -> None:
     found = merged([cloud, cloud], [view, view], (0, 0))
     assert 0.5 * cloud.there.sum() < len(found.points) < cloud.there.sum()
     # A float32 may round a point over the border of its cube.
@@ -53,7 +53,7 @@ def test_a_voxel_holds_at_most_one_point(cloud: Cloud, view: View) -> None:
     assert found.grid == pytest.approx(view.distance / CAMERA.focal_px[0])
 
 
-def test_a_voxel_keeps_the_point_nearest_to_its_camera(cloud: Cloud, view: View) -> None:
+def test_a_voxel_keeps_the_point_nearest_to_its_camera(cloud: Cloud, view: CornerView) -> None:
     """The second capture is the same from farther away, with black points."""
     away = replace(cloud, points=2 * cloud.points, colours=np.zeros_like(cloud.colours))
     far = replace(view, points=away.points, corner=Corner(2 * view.corner.vertex, view.corner.legs))
@@ -64,7 +64,7 @@ def test_a_voxel_keeps_the_point_nearest_to_its_camera(cloud: Cloud, view: View)
 
 
 @pytest.mark.parametrize("turn", [1, 2])
-def test_renumbering_the_legs_gives_the_same_cloud(cloud: Cloud, view: View, turn: int) -> None:
+def test_renumbering_the_legs_gives_the_same_cloud(cloud: Cloud, view: CornerView, turn: int) -> None:
     other = replace(view, corner=renumbered(view.corner, -turn))
     found = merged([cloud, cloud], [view, other], (0, turn))
     alone = merged([cloud, cloud], [view, view], (0, 0))
@@ -72,7 +72,7 @@ def test_renumbering_the_legs_gives_the_same_cloud(cloud: Cloud, view: View, tur
     np.testing.assert_allclose(found.normals, alone.normals, atol=1e-6)
 
 
-def test_a_capture_agrees_with_itself(cloud: Cloud, view: View) -> None:
+def test_a_capture_agrees_with_itself(cloud: Cloud, view: CornerView) -> None:
     apart = consistency([cloud, cloud], [view, view], (0, 0))
     assert len(apart) > 10_000
     assert apart.max() < 1e-6

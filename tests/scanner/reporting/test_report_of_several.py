@@ -10,7 +10,7 @@ import pytest
 from calib.diagnostics import Uncertainty
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Corner, Matches, Pose, unproject
-from calib.pointcloud import View, build_cloud, merged
+from calib.pointcloud import CornerView, build_cloud, merged
 from calib.refinement import CAMERA as CAMERA_COLUMNS
 from calib.refinement import PROJECTOR as PROJECTOR_COLUMNS
 from calib.refinement import SHARED, State
@@ -63,7 +63,7 @@ def report(scene: Scene) -> ReportInput:
         uncertainty=Uncertainty(state_of(scene.calibration), covariance, by_principal_point, 1e-4),
     )
     cloud = build_cloud(scene.matches, scene.texture, calibration)
-    view = View(cloud.points, None, CAMERA, solution.corner)
+    view = CornerView(cloud.points, None, CAMERA, solution.corner)
     decoded = Decoded(CaptureMetadata(CAMERA.size, PROJECTOR.size), scene.matches, GivenMatches(scene.texture))
     rows = (
         CaptureRow("capture 1", "captures/1/report.html", 1234, 0.0712, cloud.statistics, calibration),

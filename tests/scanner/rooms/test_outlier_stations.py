@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Pose
-from calib.rooms import Group, LeftOut, Registration
+from calib.rooms import Group, UnregisteredStation, Registration
 from scanner.capture import CaptureMetadata
 from scanner.results import Decoded, GivenMatches
 from scanner.rooms.contents import OutlierStation, Station
@@ -15,7 +15,7 @@ from scanner.rooms.outlier_stations import outlier_stations_of, widest_unseen_de
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
 from tests.support.whole_room import TrueStation, stations
 
-NOTHING = LeftOut(0, "nothing shared", "it shows nothing that another station shows")
+NOTHING = UnregisteredStation(0, "nothing shared", "it shows nothing that another station shows")
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def decoded(station: TrueStation) -> Decoded:
 
 
 def said(
-    example: SolvedExample, capture: Decoded, left: LeftOut = NOTHING, of: Sequence[Station] | None = None
+    example: SolvedExample, capture: Decoded, left: UnregisteredStation = NOTHING, of: Sequence[Station] | None = None
 ) -> OutlierStation:
     registration = Registration((), (), (left,))
     (found,) = outlier_stations_of(registration, [capture], example.solved.calibration, of or example.solved.stations)
@@ -48,7 +48,7 @@ def all_round(example: SolvedExample) -> list[Station]:
 
 
 def test_changed_extrinsics_are_named(example: SolvedExample, other: TrueStation) -> None:
-    found = said(example, decoded(other), LeftOut(0, "another rig", "its matches are off the epipolar lines"))
+    found = said(example, decoded(other), UnregisteredStation(0, "another rig", "its matches are off the epipolar lines"))
     assert found.cause == "changed rig"
     assert found.reason == "its rig was changed: its matches are off the epipolar lines"
 
@@ -69,7 +69,7 @@ def test_after_a_full_circle_a_station_without_overlap_is_of_another_room(
 
 
 def test_free_space_violations_indicate_another_room(example: SolvedExample, other: TrueStation) -> None:
-    left = LeftOut(0, "free space", "40% of them are in free space: another room, or the rig was changed")
+    left = UnregisteredStation(0, "free space", "40% of them are in free space: another room, or the rig was changed")
     found = said(example, decoded(other), left)
     assert found.cause == "another room"
     assert "40%" in found.reason

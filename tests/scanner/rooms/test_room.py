@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Pose
 from calib.numerics import Floats
-from scanner.exporting import FORMATS, Request
+from scanner.exporting import FORMATS, ExportRequest
 from scanner.io import read_calibration, read_cloud
 from scanner.results import read_finished_room
 from scanner.rooms.floorplan import floor_plan
@@ -136,13 +136,13 @@ def test_the_result_reads_back_and_exports(example: SolvedExample, tmp_path: Pat
     places = [rig.position for rig in reversed(viewed.cloud(viewed.names[0]).rigs)]
     np.testing.assert_allclose(places, [station.place.translation for station in room.stations])
     pycolmap = pytest.importorskip("pycolmap")
-    FORMATS["colmap"].write(Request(example.out, tmp_path / "colmap", most_points=2000))
+    FORMATS["colmap"].write(ExportRequest(example.out, tmp_path / "colmap", most_points=2000))
     model = pycolmap.Reconstruction(tmp_path / "colmap")
     assert model.num_images() == 2 * len(ORDER)
     points = np.array([point.xyz for point in model.points3D.values()])
     assert np.median(distances_to_surfaces(example, points)) < 5e-3
     pye57 = pytest.importorskip("pye57")
-    FORMATS["e57"].write(Request(example.out, tmp_path / "room.e57"))
+    FORMATS["e57"].write(ExportRequest(example.out, tmp_path / "room.e57"))
     file = pye57.E57(str(tmp_path / "room.e57"))
     assert file.scan_count == len(ORDER)
     scan = file.read_scan(2, ignore_missing_fields=True, transform=True)

@@ -126,7 +126,7 @@ def test_without_open3d_nothing_is_started(
 @pytest.mark.parametrize(("pair_s", "compared"), [(0.0, 24), (0.1, 24), (0.2, 17), (2.0, 6), (100.0, 2)])
 def test_live_compares_with_as_many_stations_as_time_allows(pair_s: float, compared: int) -> None:
     """With 24 stations; every compared pair takes time."""
-    comparison = live.Comparison(30.0, pair_s)
+    comparison = live.StationComparison(30.0, pair_s)
     assert comparison.within_patience(24) == compared
     assert comparison.within_patience(2) == 2
     assert comparison.within_patience(1) == 1

@@ -11,7 +11,7 @@ import pytest
 from calib.numerics import Floats
 from scanner.exporting import Piece, write_pieces
 from scanner.results import GivenMatches
-from scanner.rooms.common_light import Shown, in_common_light
+from scanner.rooms.common_light import PointsInPicture, in_common_light
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.mesh import CAMERA_FROM_ROOM, fused
 from scanner.rooms.textures import textured
@@ -113,7 +113,7 @@ def test_different_lighting_is_equalised() -> None:
     y, x = (each.ravel().astype(np.float64) for each in np.mgrid[0:96, 0:128])
     seen = x > 30
     shown = [
-        Shown(np.rint(each).astype(np.uint8)[..., None].repeat(3, axis=2), np.stack([x, y], axis=1), there)
+        PointsInPicture(np.rint(each).astype(np.uint8)[..., None].repeat(3, axis=2), np.stack([x, y], axis=1), there)
         for each, there in ((paint, seen), (paint * light, np.ones_like(seen)))
     ]
     one, other = (picture[..., 0].astype(np.float64) for picture in in_common_light(shown))

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from scanner.io import read_cloud
-from scanner.viewing.crop import Frame, box_within, frame_of, write_cropped
+from scanner.viewing.crop import BoxFrame, box_within, frame_of, write_cropped
 from scanner.viewing.result import CaptureCloud
 from scanner.viewing.surface import surface_of
 
 
-def whole(frame: Frame) -> np.ndarray:
+def whole(frame: BoxFrame) -> np.ndarray:
     return np.stack([frame.low, frame.high], axis=1)
 
 

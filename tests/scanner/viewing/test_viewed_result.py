@@ -9,7 +9,7 @@ import pytest
 
 from calib.diagnostics import Uncertainty
 from calib.geometry import intersect
-from calib.pointcloud import View, build_cloud, merged, point_covariances
+from calib.pointcloud import CornerView, build_cloud, merged, point_covariances
 from calib.refinement import SHARED, State
 from scanner.errors import InputError
 from scanner.io import read_calibration, write_calibration, write_merged_ply, write_poses
@@ -170,7 +170,7 @@ def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path, turn: int, known:
     scene = room()
     calibration = replace(scene.calibration, unit="m")
     cloud = build_cloud(scene.matches, scene.texture, calibration)
-    view = View(cloud.points, None, calibration.camera, scene.corner)
+    view = CornerView(cloud.points, None, calibration.camera, scene.corner)
     in_corner = merged([cloud], [view], (turn,))
     write_merged_ply(written.folder / "merged.ply", in_corner)
     if known:

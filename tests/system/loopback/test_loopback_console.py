@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hw.simulated import SimulatedRoom
-from scanner.console import Activity, Picture, Settings, Worker
+from scanner.console import Activity, IdlePicture, ConsoleSettings, Worker
 from scanner.io import read_calibration
 from tests.support.loopback_bench import check_frames
 from tests.support.notebook import Notebook
@@ -27,7 +27,7 @@ def page() -> Notebook:
 @pytest.fixture
 def worker(config: Path, rig: object, page: Notebook, monkeypatch: pytest.MonkeyPatch) -> Iterator[Worker]:
     monkeypatch.chdir(config.parent)
-    worker = Worker(Settings(config), page)
+    worker = Worker(ConsoleSettings(config), page)
     worker.start()
     yield worker
     worker.close()
@@ -41,9 +41,9 @@ def test_the_live_image_shows_what_is_projected_and_follows_exposure_and_gain(wo
     assert worker.request(Activity.LIVE)
     until(lambda: page.frames)
     white = brightness(page)
-    worker.change(picture=Picture.BLACK)
+    worker.change(picture=IdlePicture.BLACK)
     until(lambda: brightness(page) < white / 2)
-    worker.change(picture=Picture.WHITE, exposure_us=16_667.0)
+    worker.change(picture=IdlePicture.WHITE, exposure_us=16_667.0)
     until(lambda: page.frames[-1].exposure_us == pytest.approx(16_667.0, rel=1e-3))
     until(lambda: 0.4 * white < brightness(page) < 0.7 * white)
     worker.change(gain=6.0)
