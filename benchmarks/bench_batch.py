@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from scanner.batch import DaskWorkers, Delivery, Job, Processes, BatchRequest, Workers, list_jobs, run_batch, work
+from scanner.batch import BatchRequest, DaskWorkers, Delivery, Job, Processes, Workers, list_jobs, run_batch, work
 from scanner.configuration import load_config
 from scanner.jobs import scan
 from scanner.ui import Terminal

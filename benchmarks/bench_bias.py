@@ -23,7 +23,7 @@ from conditions.plain_decoder import plain_matches
 from calib.geometry import Matches
 from calib.numerics import Floats
 from hw.settings import SimulatedRigSettings
-from hw.simulated import GroundTruth, DrawnRoom, SimulatedRoom, simulation
+from hw.simulated import DrawnRoom, GroundTruth, SimulatedRoom, simulation
 from scanner.decoding import Decoder
 from scanner.decoding.fringes import Footprint
 

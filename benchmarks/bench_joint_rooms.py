@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from calib.geometry import Corner, Matches
 from calib.numerics import Floats
 from calib.plane_segmentation import find_faces
-from calib.pointcloud import Cloud, MergedCloud, CornerView, build_cloud, find_order, merged
+from calib.pointcloud import Cloud, CornerView, MergedCloud, build_cloud, find_order, merged
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate, self_calibrate_jointly
 from hw.settings import SimulatedRigSettings
@@ -78,7 +78,9 @@ def merged_error(cloud: MergedCloud, views: list[CornerView], captures: list[Cap
     return share
 
 
-def merge(captures: list[Captured], found: tuple[SelfCalibration, ...]) -> tuple[MergedCloud, list[Cloud], list[CornerView]]:
+def merge(
+    captures: list[Captured], found: tuple[SelfCalibration, ...]
+) -> tuple[MergedCloud, list[Cloud], list[CornerView]]:
     clouds, views = [], []
     for capture, solution in zip(captures, found, strict=True):
         clouds.append(build_cloud(solution.matches, capture.texture, solution.calibration))

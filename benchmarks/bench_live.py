@@ -31,9 +31,9 @@ from scanner.configuration import Config
 from scanner.live import (
     FRAMES,
     Account,
-    LiveDecoder,
     FirstLook,
     LiveCloud,
+    LiveDecoder,
     LiveSequence,
     Round,
     best_sequence,

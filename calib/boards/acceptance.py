@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from calib.boards.estimate import Estimate
-from calib.boards.likelihood import Fit, BoardView, minimise
+from calib.boards.likelihood import BoardView, Fit, minimise
 from calib.boards.parameters import (
     CAMERA,
     FOCAL,
@@ -99,7 +99,9 @@ def no_rig(coverage: BoardCoverage | None) -> RefusalError:
     return RefusalError("No camera and projector explain these boards" + _because(coverage), _ADVICE)
 
 
-def refuse_untrustworthy(found: Estimate, others: Sequence[Fit], coverage: BoardCoverage, sizes: tuple[Size, Size]) -> None:
+def refuse_untrustworthy(
+    found: Estimate, others: Sequence[Fit], coverage: BoardCoverage, sizes: tuple[Size, Size]
+) -> None:
     """Raise RefusalError where the boards do not determine both devices, everywhere in their pictures and uniquely."""
     sigma = np.sqrt(found.covariance.diagonal())
     if coverage.tilt_deg < _HOPELESSLY_PARALLEL_DEG:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.boards.likelihood import BoardVariances, Prior, BoardView, minimise
+from calib.boards.likelihood import BoardVariances, BoardView, Prior, minimise
 from calib.boards.parameters import PlacedBoard, State
 from calib.geometry import Pose
 from calib.numerics import Floats

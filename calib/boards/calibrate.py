@@ -17,7 +17,7 @@ from calib.boards.acceptance import (
 from calib.boards.board_shape import flex_of, oriented_consistently
 from calib.boards.cross_validation import Halves, Prediction, halves, leave_one_out
 from calib.boards.estimate import Estimate, estimate
-from calib.boards.likelihood import Fit, Prior, BoardView, device_prior, minimise
+from calib.boards.likelihood import BoardView, Fit, Prior, device_prior, minimise
 from calib.boards.parameters import (
     CAMERA,
     CENTRE,

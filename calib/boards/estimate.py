@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calib.boards.likelihood import Fit, BoardVariances, Prior, BoardView, minimise
+from calib.boards.likelihood import BoardVariances, BoardView, Fit, Prior, minimise
 from calib.boards.noise import measured
 from calib.boards.parameters import SHARED, State
 from calib.numerics import Floats

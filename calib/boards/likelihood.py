@@ -108,7 +108,9 @@ class Fit(Quadratic):
     cells: tuple[Floats, ...]
 
 
-def evaluate(views: Sequence[BoardView], state: State, prior: Prior, levels: BoardVariances, *, matches: bool = True) -> Fit:
+def evaluate(
+    views: Sequence[BoardView], state: State, prior: Prior, levels: BoardVariances, *, matches: bool = True
+) -> Fit:
     """The cost of a state with its derivatives; infinite if more than outliers fall behind a device.
 
     Without `matches`, only the camera is evaluated.

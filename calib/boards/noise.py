@@ -6,7 +6,7 @@ from functools import reduce
 
 import numpy as np
 
-from calib.boards.likelihood import Fit, BoardVariances, Prior, BoardView
+from calib.boards.likelihood import BoardVariances, BoardView, Fit, Prior
 from calib.boards.parameters import PER_POSE, SHARED
 from calib.numerics import CUBIC, MEDIAN_LENGTH, Floats
 from calib.refinement import Cells, Noise, joined, long_waves, noise_of

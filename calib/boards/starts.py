@@ -11,7 +11,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from calib.boards.likelihood import Fit, BoardVariances, Prior, BoardView, minimise
+from calib.boards.likelihood import BoardVariances, BoardView, Fit, Prior, minimise
 from calib.boards.parameters import (
     BEND,
     CAMERA,
@@ -38,7 +38,11 @@ _DIFFERENT = 0.02  # of log f
 
 
 def starts(
-    views: Sequence[BoardView], camera_size: tuple[int, int], projector_size: tuple[int, int], reach: float, prior: Prior
+    views: Sequence[BoardView],
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+    reach: float,
+    prior: Prior,
 ) -> list[Fit]:
     """Rough fits of the views with different focals, best first."""
     levels = rough_levels(views)

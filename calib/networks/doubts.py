@@ -79,7 +79,9 @@ def strains(sights: Sequence[PlaneObservation], fit: Fit[Network]) -> dict[int, 
     }
 
 
-def standing_alike(names: Sequence[str], sights: Sequence[PlaneObservation], network: Network) -> list[tuple[str, str, float]]:
+def standing_alike(
+    names: Sequence[str], sights: Sequence[PlaneObservation], network: Network
+) -> list[tuple[str, str, float]]:
     """Devices that are nearly in one place, with their distance over that of what they see."""
     rays: dict[int, list[Floats]] = {}
     for sight in sights:

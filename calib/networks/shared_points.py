@@ -140,7 +140,12 @@ def _slope_of_depth(weight: Floats, by_depth: Floats, jacobian: Floats) -> Float
 
 
 def shared_points(
-    hub: int, raster: ImageRaster, seen: Mapping[int, SeenAt], loose: Bools, network: Network, repeats: Mapping[int, int]
+    hub: int,
+    raster: ImageRaster,
+    seen: Mapping[int, SeenAt],
+    loose: Bools,
+    network: Network,
+    repeats: Mapping[int, int],
 ) -> SharedPoints | None:
     """Of the cells `loose` (h, w) that two devices or more see; None of too few.
 

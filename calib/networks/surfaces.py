@@ -106,7 +106,9 @@ class Heights:
         return max(len(self.amplitudes) - float(whole) / steepness**2, 0.0)
 
 
-def surfaces_of(sights: Sequence[PlaneObservation], fit: Fit[Network], variances: Sequence[Floats]) -> tuple[PlaneRelief, ...]:
+def surfaces_of(
+    sights: Sequence[PlaneObservation], fit: Fit[Network], variances: Sequence[Floats]
+) -> tuple[PlaneRelief, ...]:
     """All planes, with heights that are as steep as residuals along them allow."""
     found = []
     squares = []

@@ -109,7 +109,9 @@ class Warps:
         return bool(self.alone or self.several or self.moved)
 
 
-def find_warps(grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network]) -> tuple[Warps, Fit[Network], Weights]:
+def find_warps(
+    grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network]
+) -> tuple[Warps, Fit[Network], Weights]:
     """From a fit under the scatter of matches; also one without a warp, and the weights that it was made with."""
     free, devices = grown.free(fit.layout), range(len(grown.names))
     every, weights = _freed(fit.layout, free, devices), Weights.of_noise(sights)
@@ -139,7 +141,9 @@ def find_warps(grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Networ
     return Warps(likely), none, weights
 
 
-def weighed(sights: Sequence[PlaneObservation], fit: Fit[Network], free: Bools, names: Sequence[str]) -> tuple[Warps, Floats]:
+def weighed(
+    sights: Sequence[PlaneObservation], fit: Fit[Network], free: Bools, names: Sequence[str]
+) -> tuple[Warps, Floats]:
     """Warps of one parameter of one picture, by their evidence: those that are certain, and what all of them that the
     captures do not exclude add to the covariance (size, size).
     """

@@ -52,7 +52,12 @@ class Weights:
         return self._of_surfaces(grown, sights, fit, free, joints)
 
     def _of_surfaces(
-        self, grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network], free: Bools, joints: Sequence[SharedPoints]
+        self,
+        grown: Grown,
+        sights: Sequence[PlaneObservation],
+        fit: Fit[Network],
+        free: Bools,
+        joints: Sequence[SharedPoints],
     ) -> tuple[NoiseLevels, "Weights"]:
         """By what the heights of planes leave of the residuals; with the likeliest steepness of these."""
         solved = [surface.solved(fit.layout) for surface in self.surfaces]

@@ -109,7 +109,12 @@ def settled(first: ObjectView, second: ObjectView, pose: Pose, grains: Sequence[
 
 
 def residuals_of(
-    first: ObjectView, second: ObjectView, names: tuple[int, int], places: Sequence[Pose], within: float, count: int | None = None
+    first: ObjectView,
+    second: ObjectView,
+    names: tuple[int, int],
+    places: Sequence[Pose],
+    within: float,
+    count: int | None = None,
 ) -> PairResiduals | None:
     """Of one pair of views, `names` in `places`; None where too little meets."""
     here, there = places[names[0]], places[names[1]]
@@ -143,7 +148,9 @@ def _carried(view: ObjectView, place: Pose, flat: Ints) -> tuple[Floats, Floats]
     return place @ points, place.rotate(normals)
 
 
-def _with_marks(surface: PairResiduals, first: ObjectView, second: ObjectView, here: Pose, there: Pose) -> PairResiduals:
+def _with_marks(
+    surface: PairResiduals, first: ObjectView, second: ObjectView, here: Pose, there: Pose
+) -> PairResiduals:
     """The residuals with those of the marks, which also act along the surface."""
     own, other = mark_pairs(first, second)
     points = here @ first.marks.points[own]

@@ -17,7 +17,9 @@ _SIGMAS, _BENT = 4.0, 0.12  # the second in grains
 _FREE = 1.5  # grains: closer than this in front of a surface, the other camera would have seen it
 
 
-def overlapping_pixels(patches_of: ObjectView, seen_by: ObjectView, pose: Pose, within: float, count: int | None = None) -> Ints:
+def overlapping_pixels(
+    patches_of: ObjectView, seen_by: ObjectView, pose: Pose, within: float, count: int | None = None
+) -> Ints:
     """For each patch (M,) the flat index of the pixel of `seen_by` whose surface it lies on, or the reason why there is
     none.
 
@@ -28,7 +30,9 @@ def overlapping_pixels(patches_of: ObjectView, seen_by: ObjectView, pose: Pose, 
     )
 
 
-def overlapping_pixels_of_points(points: Floats, normals: Floats, seen_by: ObjectView, pose: Pose, within: float) -> Ints:
+def overlapping_pixels_of_points(
+    points: Floats, normals: Floats, seen_by: ObjectView, pose: Pose, within: float
+) -> Ints:
     """The same for any points with normals, (N, 3) each."""
     found = np.empty(len(points), np.int64)
     _overlap(
@@ -122,7 +126,9 @@ def tolerance(first: ObjectView, second: ObjectView) -> float:
     return _SIGMAS * float(np.hypot(one, other)) + _BENT * first.grain
 
 
-def evidence(first: ObjectView, second: ObjectView, pose: Pose, within: float, count: int | None = None) -> OverlapEvidence:
+def evidence(
+    first: ObjectView, second: ObjectView, pose: Pose, within: float, count: int | None = None
+) -> OverlapEvidence:
     """For X_first = R X_second + t."""
     there = overlapping_pixels(second, first, pose, within, count)
     here = overlapping_pixels(first, second, pose.inverse(), within, count)

@@ -90,7 +90,9 @@ def register_views(views: Sequence[ObjectView | None]) -> Registered:
     edges = {(i, j): _suggested(seen[i], seen[j]) for i, j in combinations(seen, 2)}
     sure = {pair: found for pair, found in edges.items() if found}
     left_out = [
-        UnregisteredView(k, "nothing seen", "it shows only the static background") for k in range(len(views)) if k not in seen
+        UnregisteredView(k, "nothing seen", "it shows only the static background")
+        for k in range(len(views))
+        if k not in seen
     ]
     if not sure:
         return Registered({}, (), (*left_out, *(_unplaced(k, seen, sure) for k in seen)))
@@ -105,12 +107,16 @@ def register_views(views: Sequence[ObjectView | None]) -> Registered:
     return Registered(dict(sorted(places.items())), tuple(alternatives), tuple(left_out))
 
 
-def _unplaced(k: int, views: Mapping[int, ObjectView], edges: Mapping[tuple[int, int], Sequence[Suggestion]]) -> UnregisteredView:
+def _unplaced(
+    k: int, views: Mapping[int, ObjectView], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
+) -> UnregisteredView:
     pixels = int(np.count_nonzero(np.isfinite(views[k].points[..., 2])))
     if pixels < PATCHES:
         return UnregisteredView(k, "too small", f"only {pixels} of its pixels measure the thing")
     if any(k in pair for pair in edges):
-        return UnregisteredView(k, "does not fit", "wherever it fits one station, others see through or past its surface")
+        return UnregisteredView(
+            k, "does not fit", "wherever it fits one station, others see through or past its surface"
+        )
     return UnregisteredView(k, "no overlap", "its surface fits that of no other station")
 
 

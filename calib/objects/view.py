@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats, Image, Ints
-from calib.rooms import Marks
+from calib.rooms import Marks, relative_noise
 from calib.rooms.marks import described, logarithmic, no_marks
-from calib.rooms import relative_noise
 from calib.rooms.surfaces import spread
 
 PATCHES = 3000  # drawn from each view; with fewer pixels than that, it is seen too small or too dark

@@ -9,7 +9,7 @@ from calib.rooms.patches import Patch
 from calib.rooms.planes import PER_PLANE, RoomPlane, plane_through
 from calib.rooms.point_tracking import LabelledPicture
 from calib.rooms.priors import RigPrior, RoomPrior
-from calib.rooms.registration import AlternativePlaces, Group, UnregisteredStation, Pair, Registration, register
+from calib.rooms.registration import AlternativePlaces, Group, Pair, Registration, UnregisteredStation, register
 from calib.rooms.room import Room
 from calib.rooms.segments import relative_noise
 from calib.rooms.station import StationView, station_view

@@ -20,7 +20,11 @@ _LEAST_LEFT = 1e-3  # share of the waves left by the fit; with less, residuals d
 
 
 def covariance_of_waves(
-    patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], variances: Sequence[Floats], free: Bools, levels: NoiseLevels
+    patches: Sequence[Part[AnyLayout]],
+    fit: Fit[AnyLayout],
+    variances: Sequence[Floats],
+    free: Bools,
+    levels: NoiseLevels,
 ) -> tuple[Floats, Floats]:
     """The covariance (size, size) that the waves of planes which are not flat give the room.
 

@@ -48,7 +48,9 @@ class LabelledPicture:
         return cls(logarithmic(picture), labels)
 
 
-def find_tracks(sights: Sequence[LabelledPicture | None], plane_of: Sequence[Sequence[int]], room: Room) -> tuple[Track, ...]:
+def find_tracks(
+    sights: Sequence[LabelledPicture | None], plane_of: Sequence[Sequence[int]], room: Room
+) -> tuple[Track, ...]:
     """Between all stations with a picture, on the room's planes that `plane_of` says of each station's labels."""
     found = []
     on = [

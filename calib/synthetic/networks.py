@@ -12,7 +12,16 @@ import numpy as np
 from calib.geometry import Intrinsics, Matches, Pose
 from calib.numerics import Floats, Ints
 from calib.synthetic.captures import inside, jittered_grid, look_at
-from calib.synthetic.rooms import RoomOptions, SyntheticScene, cast, is_free, on_waves, random_box, random_walls, random_waves
+from calib.synthetic.rooms import (
+    RoomOptions,
+    SyntheticScene,
+    cast,
+    is_free,
+    on_waves,
+    random_box,
+    random_walls,
+    random_waves,
+)
 
 _CORNER = (0, 2, 4)  # the floor, and the walls at x = 0 and y = 0
 _APART_M = 0.5

@@ -174,7 +174,9 @@ def _unoccluded(board: SimulatedBoard, device: PlacedDevice, scene: Scene) -> bo
     return bool(np.all(scene.labels[surface] == Label.FLOOR))
 
 
-def _held_up(settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice) -> SimulatedBoard | None:
+def _held_up(
+    settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice
+) -> SimulatedBoard | None:
     shape = np.random.default_rng([seed, _STREAM])
     sheet = _unplaced(settings, shape.normal(0.0, settings.bend, 3))
     rng = np.random.default_rng([seed, _STREAM, settings.pose])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.numerics import Floats
-from hw.simulated.shapes import Block, Ball
+from hw.simulated.shapes import Ball, Block
 
 # Furniture overlaps the floor, the wall or the box below by this much, so that no light passes through a gap.
 EMBEDDED_M = 0.004

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import Bools, Floats, Ints
-from hw.simulated.shapes import Block, Ball
+from hw.simulated.shapes import Ball, Block
 
 # Distance of the start of a ray from its surface, over the ray's length: above rounding errors, below visible detail.
 _CLEARANCE = 1e-6

@@ -102,7 +102,9 @@ class SimulatedRoom:
         return true_view(self.room, self.renderer)
 
 
-def place_room(settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]) -> DrawnRoom:
+def place_room(
+    settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
+) -> DrawnRoom:
     """The room of a seed with devices of given sizes, (width, height) in pixels."""
     drawn = draw_room(settings)
     return DrawnRoom(drawn.scene, _resized(drawn.camera, camera_size), _resized(drawn.projector, projector_size))

@@ -13,7 +13,7 @@ from hw.simulated.device import PlacedDevice
 from hw.simulated.furniture import EMBEDDED_M, box, draw_second_sphere, overlap
 from hw.simulated.placement import SHORT_THROW, RigGeometry, draw_rig, look_at
 from hw.simulated.scene import Scene
-from hw.simulated.shapes import Block, Ball
+from hw.simulated.shapes import Ball, Block
 from hw.simulated.view import lit_and_visible, seen
 
 _STREAM = 200  # stream of random numbers; a single corner uses others

@@ -26,7 +26,9 @@ class DaskWorkers:
     def __init__(self, client: "Client") -> None:
         self._client = client
 
-    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, BatchRow | Exception]]:
+    def results(
+        self, work: Work, jobs: Iterable[Job], delivery: Delivery
+    ) -> Iterator[tuple[Job, BatchRow | Exception]]:
         """The outcome of each job, in the order in which they finish.
 
         At most one task per thread is submitted at a time. Of more, Dask would also blame the waiting ones for a

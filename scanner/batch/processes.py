@@ -59,7 +59,9 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
         many = f"{self._count} process{'' if self._count == 1 else 'es'}"
         return f"{many} of {self._memory_bytes / 2**30:.1f} GiB each"
 
-    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, BatchRow | Exception]]:
+    def results(
+        self, work: Work, jobs: Iterable[Job], delivery: Delivery
+    ) -> Iterator[tuple[Job, BatchRow | Exception]]:
         """The outcome of each job, in the order in which they finish."""
         waiting, deaths = list(jobs)[::-1], dict[str, int]()
         while waiting or any(worker.job for worker in self._workers):

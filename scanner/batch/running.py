@@ -25,7 +25,9 @@ TABLE, CSV, PAGE = "batch.parquet", "batch.csv", "index.html"
 class Workers(Protocol):
     """Workers that run jobs in parallel."""
 
-    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, BatchRow | Exception]]:
+    def results(
+        self, work: Work, jobs: Iterable[Job], delivery: Delivery
+    ) -> Iterator[tuple[Job, BatchRow | Exception]]:
         """What `work` made of each job, or the error that it ended with, in the order in which they are finished."""
 
 

@@ -48,7 +48,9 @@ def opened(config: Config) -> Iterator[Rig]:
 def device_rows(rig: Rig) -> Iterator[CheckRow]:
     """Return rows that describe the devices and the latency from projector to camera."""
     camera, projector = rig.camera.size, rig.projector.size
-    yield CheckRow("camera", CheckState.OK, f"{rig.identity.get('camera', 'simulated')}, {camera[0]} × {camera[1]} pixels")
+    yield CheckRow(
+        "camera", CheckState.OK, f"{rig.identity.get('camera', 'simulated')}, {camera[0]} × {camera[1]} pixels"
+    )
     about = rig.identity.get("projector", "simulated")
     yield CheckRow("projector", CheckState.OK, f"{about}, {projector[0]} × {projector[1]} pixels")
     refresh = "" if rig.refresh_hz is None else f", a refresh every {1e3 / rig.refresh_hz:.1f} ms"

@@ -66,5 +66,7 @@ def response_row(ramp: Ramp) -> CheckRow:
     if response.off_power_law > _FLAT:
         finding += f", with up to {100 * response.off_power_law:.1f} % of white off a power law"
     if steps[-1] < _FLAT:
-        return CheckRow(_NAME, CheckState.POOR, f"{finding}; the brightest levels are alike", "Lower its contrast setting.")
+        return CheckRow(
+            _NAME, CheckState.POOR, f"{finding}; the brightest levels are alike", "Lower its contrast setting."
+        )
     return CheckRow(_NAME, CheckState.OK, finding)

@@ -19,7 +19,7 @@ _LEAST_BYTES = 400_000_000
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
-    from scanner.batch import Batch, Processes, BatchRequest, dask_workers, list_jobs, refuse_without_dask, run_batch
+    from scanner.batch import Batch, BatchRequest, Processes, dask_workers, list_jobs, refuse_without_dask, run_batch
 
     if args.scheduler:
         refuse_without_dask()

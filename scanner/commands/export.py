@@ -28,7 +28,9 @@ def run(args: Namespace) -> None:
     target.check_name(out)
     terminal = Terminal(quiet=args.quiet)
     with terminal.step("Exporting"):
-        written = target.write(ExportRequest(args.result, out, args.overwrite, args.points or DEFAULT_POINTS, eye, gamma))
+        written = target.write(
+            ExportRequest(args.result, out, args.overwrite, args.points or DEFAULT_POINTS, eye, gamma)
+        )
     terminal.show(*written, f"Written: {out}", f"→ {target.opened_by}")
 
 

@@ -14,11 +14,11 @@ from scanner.errors import InputError
 from scanner.importing import (
     LAYOUTS,
     FrameFiles,
-    Given,
     FrameLayout,
+    Given,
+    LevelSamples,
     Recognised,
     Rejected,
-    LevelSamples,
     describe_order,
     find_frames,
     fringe_layouts,

@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from scanner.console.live_view import LiveView as LiveView
     from scanner.console.page import console as console
     from scanner.console.progress import durations_in as durations_in
-    from scanner.console.settings import IdlePicture as IdlePicture
     from scanner.console.settings import ConsoleSettings as ConsoleSettings
+    from scanner.console.settings import IdlePicture as IdlePicture
     from scanner.console.worker import Activity as Activity
     from scanner.console.worker import Status as Status
     from scanner.console.worker import Worker as Worker

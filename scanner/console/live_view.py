@@ -12,7 +12,7 @@ from calib.geometry import IDENTITY, Calibration
 from hw.rig import Frame
 from scanner.live import Account, LiveCloud, Newest, Watcher, Wishes, round_texts
 from scanner.rendering import photograph
-from scanner.viewing import CloudWithSigma, Colouring, PlacedRig, CloudScene, bar_html, escaped
+from scanner.viewing import CloudScene, CloudWithSigma, Colouring, PlacedRig, bar_html, escaped
 
 log = logging.getLogger(__name__)
 

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from scanner.importing.layout import Given, FrameLayout, SequenceOf, Size
+from scanner.importing.layout import FrameLayout, Given, SequenceOf, Size
 from scanner.importing.orders import bits_of, fringe, gray_bits, other_gray_orders, pairs, with_ends, x_and_y
 from scanner.io import read_text
 from scanner.patterns import Axis, Black, Gray, Pattern, White

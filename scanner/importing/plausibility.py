@@ -100,7 +100,9 @@ def _scattered(found: dict[Axis, Coordinates]) -> Objection | None:
         if not len(steps) or np.median(steps) > max(_MOST_APART * _spread(seen), 1.0):
             return Objection(PlausibilityStage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
         if seen.misfit is not None and np.mean(steps > 2 * PLACES_OF_CYCLE * seen.steps) > _MOST_JUMPS:
-            return Objection(PlausibilityStage.NEIGHBOURS, f"the fringes of {axis} contradict each other: other --periods?")
+            return Objection(
+                PlausibilityStage.NEIGHBOURS, f"the fringes of {axis} contradict each other: other --periods?"
+            )
     return None
 
 

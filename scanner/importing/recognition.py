@@ -14,7 +14,7 @@ from scanner.errors import InputError
 from scanner.importing.continuity import broken_order
 from scanner.importing.frame_files import FrameFiles
 from scanner.importing.incomplete import MISSING_ENDS, without_duplicates
-from scanner.importing.layout import MOST_FRAMES, Candidate, Given, FrameLayout, Size, candidates
+from scanner.importing.layout import MOST_FRAMES, Candidate, FrameLayout, Given, Size, candidates
 from scanner.importing.plausibility import best_fitting, objection, share_on_epipolar_lines
 from scanner.importing.projector_size import extents_of, possible_sizes
 from scanner.importing.samples import LevelSamples, take_lines
@@ -56,7 +56,11 @@ class Rejected:
 
 
 def recognise(
-    files: FrameFiles, layouts: Sequence[FrameLayout], given: Given, look: Callable[[], LevelSamples], progress: Progress
+    files: FrameFiles,
+    layouts: Sequence[FrameLayout],
+    given: Given,
+    look: Callable[[], LevelSamples],
+    progress: Progress,
 ) -> tuple[list[Recognised], list[Rejected]]:
     """Which layouts fit the frames, and why the others do not. Raises InputError for a file beside the frames.
 
@@ -88,7 +92,9 @@ class _Attempt:
     missing: tuple[Pattern, ...] = ()
 
 
-def _less_usual(files: FrameFiles, layouts: Sequence[FrameLayout], look: Callable[[], LevelSamples]) -> Iterator[_Attempt]:
+def _less_usual(
+    files: FrameFiles, layouts: Sequence[FrameLayout], look: Callable[[], LevelSamples]
+) -> Iterator[_Attempt]:
     usual, last = ([layout for layout in layouts if layout.last == is_last] for is_last in (False, True))
     for missing in MISSING_ENDS:
         yield _Attempt(files, usual, look, missing)

@@ -1,6 +1,6 @@
 """Live clouds from a short sequence, decoded during the capture; kept clouds become stations."""
 
-from scanner.live.cloud import LiveDecoder, LiveCloud, Round
+from scanner.live.cloud import LiveCloud, LiveDecoder, Round
 from scanner.live.first_look import FirstLook, look
 from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
 from scanner.live.rounds import best_sequence, take_rounds

@@ -17,7 +17,7 @@ from hw.rig import Rig
 from scanner.checking import opened
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.live.cloud import LiveDecoder, LiveCloud
+from scanner.live.cloud import LiveCloud, LiveDecoder
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import joining, keep_station
 from scanner.live.rounds import best_sequence, take_rounds

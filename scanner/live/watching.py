@@ -10,7 +10,7 @@ from threading import Condition, Thread
 from typing import Generic, TypeVar
 
 from hw.errors import DeviceError
-from scanner.live.cloud import LiveDecoder, LiveCloud, Round
+from scanner.live.cloud import LiveCloud, LiveDecoder, Round
 
 T = TypeVar("T")
 

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from scanner.measuring.measurements import FORM_SHARE, FitErrors, Measurements, MeasuredScene
+from scanner.measuring.measurements import FORM_SHARE, FitErrors, MeasuredScene, Measurements
 
 MEASURE_FILE = "measure.json"
 FORMAT = 1

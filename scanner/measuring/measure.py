@@ -7,7 +7,7 @@ import numpy as np
 from calib.geometry import Calibration
 from scanner.errors import InputError
 from scanner.io import read_matches
-from scanner.measuring.measurements import DistanceMeasurement, Measurements, MeasuredScene, distance_between
+from scanner.measuring.measurements import DistanceMeasurement, MeasuredScene, Measurements, distance_between
 from scanner.measuring.planes import measure_scene
 from scanner.measuring.spheres import centre_distances, measure_spheres
 from scanner.results import CALIBRATION_FILE, FinishedScan, read_uncertainty

@@ -47,7 +47,9 @@ def measure_scene(matches: Matches, calibration: Calibration, uncertainty: Uncer
         errors = _anchored(fitted, errors, to_corner)
         fitted = [_with_spreads(face, errors) for face in fitted]
     faces = tuple(_measured(face) for face in fitted)
-    return MeasuredScene(faces, tuple(_angle(*pair) for pair in combinations(fitted, 2)), errors, known_lengths(points, errors))
+    return MeasuredScene(
+        faces, tuple(_angle(*pair) for pair in combinations(fitted, 2)), errors, known_lengths(points, errors)
+    )
 
 
 def one_in_each_cell(matches: Matches, size: Size) -> Matches:

@@ -6,7 +6,7 @@ from pathlib import Path
 from calib.refusal import NoMeasurementError
 from scanner.configuration import Config
 from scanner.exporting import open3d
-from scanner.objects.contents import SolvedObject, ObjectSurface
+from scanner.objects.contents import ObjectSurface, SolvedObject
 from scanner.objects.save import save_object
 from scanner.objects.solve import solve_object
 from scanner.objects.verdict import verdict_on

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.pointcloud import MergedCloud
-from scanner.objects.contents import SolvedObject, ObjectSurface
+from scanner.objects.contents import ObjectSurface, SolvedObject
 from scanner.objects.verdict import verdict_on
 from scanner.quantities import percent, shown_unit
 from scanner.rendering import page, render, view_along
@@ -36,7 +36,9 @@ _FILES = {
 }
 
 
-def write_page(path: Path, solved: SolvedObject, surface: ObjectSurface | None, cloud: MergedCloud, made: Provenance) -> None:
+def write_page(
+    path: Path, solved: SolvedObject, surface: ObjectSurface | None, cloud: MergedCloud, made: Provenance
+) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
     text = page(
         "object.html",

@@ -7,7 +7,7 @@ import numpy as np
 
 from scanner.configuration import Config
 from scanner.io import write_room, write_room_ply
-from scanner.objects.contents import SolvedObject, ObjectSurface
+from scanner.objects.contents import ObjectSurface, SolvedObject
 from scanner.objects.page import write_page
 from scanner.objects.surface import cloud_of, surface_of
 from scanner.objects.verdict import verdict_on

@@ -11,9 +11,9 @@ from calib.objects import (
     FEWEST_PIXELS,
     FEWEST_TO_REST,
     JointEstimate,
+    ObjectView,
     Registered,
     Turntable,
-    ObjectView,
     confirmed,
     estimate_jointly,
     find_turntable,
@@ -133,7 +133,9 @@ def advice_on(outside: Sequence[OutlierStation]) -> str:
     return "Turn the thing less between stations, so that each sees half of what the one before saw."
 
 
-def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrinsics) -> tuple[list[ObjectView | None], float]:
+def _views(
+    clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrinsics
+) -> tuple[list[ObjectView | None], float]:
     """Views of the thing alone, and the share of the visible surfaces that is static."""
     depths = [cloud.points[..., 2] for cloud in clouds]
     noise = [relative_noise(cloud.points, cloud.normals) for cloud in clouds]

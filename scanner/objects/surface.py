@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from calib.numerics import Bools, Floats, Ints
 from calib.pointcloud import MergedCloud
 from scanner.exporting import Mesh, mesh_of, reconstruct_surface
-from scanner.objects.contents import SolvedObject, ObjectSurface
+from scanner.objects.contents import ObjectSurface, SolvedObject
 from scanner.rooms import CAMERA_FROM_ROOM, blended_of, part_of
 
 _AROUND = 3.0  # over the size: a surface seen from one half closes within a cube of this size

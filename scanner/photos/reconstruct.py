@@ -13,7 +13,7 @@ from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Matches, Size
 from calib.numerics import Bools
 from calib.plane_segmentation import find_same_faces, find_sparse_faces
-from calib.pointcloud import Cloud, MergedCloud, CornerView, build_cloud, merged
+from calib.pointcloud import Cloud, CornerView, MergedCloud, build_cloud, merged
 from calib.self_calibration import PrincipalPoint, SelfCalibration, anywhere, calibrate_photos
 from scanner.capture import CaptureMetadata
 from scanner.configuration import Config, ScaleSettings

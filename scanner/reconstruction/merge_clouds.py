@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from calib.finding import Datum, Finding, FindingKind, Severity
 from calib.numerics import Bools, Floats, Image
-from calib.pointcloud import Cloud, MergedCloud, Order, CornerView, find_order, merged
+from calib.pointcloud import Cloud, CornerView, MergedCloud, Order, find_order, merged
 from scanner.results import SelfCalibrated
 
 # Corners whose angles differ by more than this are different ones.

@@ -85,7 +85,9 @@ def rig_frusta(calibration: Calibration, length: float, camera_colour: RGB, proj
     return [Wireframe(frustum(calibration.camera, length), camera_colour), projector]
 
 
-def render(cloud: Cloud | MergedCloud, view: OrthographicView, size: tuple[int, int], wireframes: list[Wireframe]) -> RGBA:
+def render(
+    cloud: Cloud | MergedCloud, view: OrthographicView, size: tuple[int, int], wireframes: list[Wireframe]
+) -> RGBA:
     """A picture (height, width, 4) of at most `size` = (width, height), transparent where empty.
 
     Surfaces seen from behind are not drawn, so that walls do not hide the inside of a room.

@@ -85,7 +85,11 @@ def write_report(path: Path, report: ReportInput) -> None:
 
 
 def _most_telling(
-    views: Sequence[PageImage], merged: Sequence[PageImage], faces: FacesPicture | None, scene: PageImage | None, **_: object
+    views: Sequence[PageImage],
+    merged: Sequence[PageImage],
+    faces: FacesPicture | None,
+    scene: PageImage | None,
+    **_: object,
 ) -> list[PageImage]:
     """The pictures of the first printed page."""
     seen = faces.picture if faces else scene

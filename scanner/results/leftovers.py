@@ -18,8 +18,8 @@ from scanner.results.names import (
 from scanner.results.unfinished import (
     STATE,
     Claim,
-    LockedError,
     FolderState,
+    LockedError,
     finish_publishing,
     partial_of,
     publish,

@@ -26,7 +26,7 @@ from scanner.results.names import (
     refuse_to_lose,
     unused,
 )
-from scanner.results.unfinished import STATE, Claim, LockedError, FolderState, partial_of, publish
+from scanner.results.unfinished import STATE, Claim, FolderState, LockedError, partial_of, publish
 from scanner.ui import LogFile
 
 log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.geometry import Calibration
 from calib.numerics import Floats
-from calib.rooms import UnregisteredStation, Registration
+from calib.rooms import Registration, UnregisteredStation
 from scanner.results import Decoded
 from scanner.rooms.contents import OutlierStation, Station
 

@@ -12,13 +12,13 @@ from calib.pointcloud import build_cloud
 from calib.refinement import Cells, Knowledge, into_cells
 from calib.refusal import RefusalError
 from calib.rooms import (
-    SurfaceDisplacement,
     Group,
+    LabelledPicture,
     Registration,
     RigPrior,
     RoomEstimate,
-    LabelledPicture,
     StationView,
+    SurfaceDisplacement,
     changed_extrinsics,
     disagreements,
     estimate_room,

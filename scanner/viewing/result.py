@@ -15,8 +15,7 @@ from calib.numerics import Floats
 from calib.pointcloud import point_covariances
 from scanner.errors import InputError
 from scanner.io import read_calibration, read_cloud, read_poses
-from scanner.measuring import MeasuredScene
-from scanner.measuring import read_scene
+from scanner.measuring import MeasuredScene, read_scene
 from scanner.quantities import FACE_NAMES, device_names
 from scanner.rendering import photograph
 from scanner.results import (

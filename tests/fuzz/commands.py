@@ -60,7 +60,7 @@ def board(folder: Path) -> Run:
 
 def batch(folder: Path) -> Run:
     """`scan batch` with lists of existing and missing captures, and the resulting table."""
-    from scanner.batch import Delivery, BatchRequest, list_jobs, run_batch, work
+    from scanner.batch import BatchRequest, Delivery, list_jobs, run_batch, work
     from scanner.ui import EXIT_INPUT, EXIT_REFUSED, Terminal
     from tests.support.small_capture import write_capture
 

@@ -50,7 +50,7 @@ def log(folder: Path) -> Run:
 
 def row(folder: Path) -> Run:
     """A row of an earlier run of a batch, and its table."""
-    from scanner.batch import Job, BatchRow, run_batch
+    from scanner.batch import BatchRow, Job, run_batch
     from scanner.configuration import Config
     from scanner.ui import Terminal
 

@@ -22,7 +22,7 @@ from hw.timing import latency, synchronisation
 from scanner.capture import open_capture
 from scanner.commands import devices, main
 from scanner.configuration import load_config
-from scanner.console import Activity, IdlePicture, ConsoleSettings, Worker
+from scanner.console import Activity, ConsoleSettings, IdlePicture, Worker
 from scanner.ui import Terminal
 from tests.support import fake_gphoto2
 from tests.support.fake_gphoto2 import Device, GPhoto2Error

@@ -19,7 +19,7 @@ from scanner import pipeline
 from scanner.capture import open_capture
 from scanner.commands import main
 from scanner.commands import scan as scan_command
-from scanner.console import Activity, IdlePicture, ConsoleSettings, Worker
+from scanner.console import Activity, ConsoleSettings, IdlePicture, Worker
 from scanner.patterns import draw
 from tests.support.loopback_bench import after_frames
 from tests.support.notebook import Notebook, until

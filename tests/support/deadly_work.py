@@ -4,7 +4,7 @@ import os
 import signal
 from pathlib import Path
 
-from scanner.batch import Delivery, Job, BatchRow, work
+from scanner.batch import BatchRow, Delivery, Job, work
 
 POISON, ONCE = "poison", "once"
 

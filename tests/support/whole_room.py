@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Calibration, Matches, Pose
 from calib.numerics import Floats, Image, Ints
 from hw.settings import SimulatedRigSettings
-from hw.simulated import ProjectorLight, DrawnRoom, Scene, Texture, paint, place_room, true_calibration
+from hw.simulated import DrawnRoom, ProjectorLight, Scene, Texture, paint, place_room, true_calibration
 
 CAMERA = (612, 512)
 PROJECTOR = (854, 480)

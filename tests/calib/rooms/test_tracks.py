@@ -8,7 +8,7 @@ import pytest
 from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, State, device_of
-from calib.rooms import Room, RoomPlane, LabelledPicture
+from calib.rooms import LabelledPicture, Room, RoomPlane
 from calib.rooms.point_tracking import find_tracks
 from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from calib.numerics import Floats
 from hw.simulated.scene import Label, Scene
-from hw.simulated.shapes import Block, Ball
+from hw.simulated.shapes import Ball, Block
 
 UNIT_BLOCK = Block(np.zeros(3), np.eye(3))
 TILTED_BLOCK = Block(np.array([1.0, 2.0, -0.3]), np.array([[2.0, 0.3, 0.0], [-0.2, 1.5, 0.1], [0.0, 0.2, 0.9]]))

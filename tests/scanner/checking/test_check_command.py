@@ -118,7 +118,10 @@ def test_exit_codes(
     failure: DeviceError | RefusalError | None,
     code: int,
 ) -> None:
-    rows = (CheckRow("camera", CheckState.OK, "here"), CheckRow("focus", CheckState.POOR, "blurred", "Focus the camera."))
+    rows = (
+        CheckRow("camera", CheckState.OK, "here"),
+        CheckRow("focus", CheckState.POOR, "blurred", "Focus the camera."),
+    )
     finding(monkeypatch, rows, failure)
     assert run("--config", path) == code
     captured = capsys.readouterr()

@@ -8,7 +8,7 @@ import pytest
 
 from hw.aravis import AravisRigSettings
 from scanner.console.results import earlier_results
-from scanner.console.settings import IdlePicture, ConsoleSettings, drawn
+from scanner.console.settings import ConsoleSettings, IdlePicture, drawn
 from scanner.errors import InputError
 from scanner.patterns import sequence_for
 

@@ -19,7 +19,7 @@ from scanner import pipeline
 from scanner.console import worker as worker_module
 from scanner.console.operating import chime
 from scanner.console.progress import CancelledError, ProgressStep, StagedProgress, durations_in
-from scanner.console.settings import IdlePicture, ConsoleSettings, plain_name
+from scanner.console.settings import ConsoleSettings, IdlePicture, plain_name
 from scanner.console.worker import Activity, Status, Worker
 from scanner.networks import OnSight, Pair, Watched
 from scanner.patterns import White

@@ -8,7 +8,7 @@ import pytest
 from calib.geometry import intersect_rays
 from calib.numerics import Bools, Floats
 from scanner.configuration import Config
-from scanner.live.cloud import LiveDecoder, LiveCloud
+from scanner.live.cloud import LiveCloud, LiveDecoder
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import matches_of
 from scanner.live.rounds import best_sequence, take_rounds

@@ -18,7 +18,7 @@ from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.io import read_matches, write_calibration
 from scanner.live import jobs
-from scanner.live.cloud import LiveDecoder, LiveCloud, Round
+from scanner.live.cloud import LiveCloud, LiveDecoder, Round
 from scanner.live.first_look import FirstLook
 from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
 from scanner.live.rounds import best_sequence, take_rounds

@@ -47,7 +47,11 @@ def test_each_pair_shows_its_state_with_a_text_alternative() -> None:
 @pytest.mark.parametrize(("cameras", "projectors"), [(1, 2), (2, 1), (2, 2), (4, 4), (8, 2), (2, 8)])
 def test_no_label_lies_on_another_and_none_on_a_name(cameras: int, projectors: int) -> None:
     svg = drawn(
-        [PairProgress(f"camera_{i}", f"projector_{j}", 21, 21, 0.987) for j in range(projectors) for i in range(cameras)]
+        [
+            PairProgress(f"camera_{i}", f"projector_{j}", 21, 21, 0.987)
+            for j in range(projectors)
+            for i in range(cameras)
+        ]
     )
     boxes = [tuple(float(box.get(key, 0)) for key in ("x", "y", "width", "height")) for box in svg.iter("rect")]
     assert len(boxes) == cameras * projectors

@@ -26,7 +26,9 @@ def cloud(scene: Scene) -> Cloud:
 
 @pytest.fixture(scope="module")
 def view(scene: Scene, cloud: Cloud) -> CornerView:
-    return CornerView(cloud.points, scene.texture.mean(axis=2).astype(np.float32), scene.calibration.camera, scene.corner)
+    return CornerView(
+        cloud.points, scene.texture.mean(axis=2).astype(np.float32), scene.calibration.camera, scene.corner
+    )
 
 
 def renumbered(corner: Corner, turn: int) -> Corner:

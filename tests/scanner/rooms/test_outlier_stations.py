@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Pose
-from calib.rooms import Group, UnregisteredStation, Registration
+from calib.rooms import Group, Registration, UnregisteredStation
 from scanner.capture import CaptureMetadata
 from scanner.results import Decoded, GivenMatches
 from scanner.rooms.contents import OutlierStation, Station
@@ -48,7 +48,9 @@ def all_round(example: SolvedExample) -> list[Station]:
 
 
 def test_changed_extrinsics_are_named(example: SolvedExample, other: TrueStation) -> None:
-    found = said(example, decoded(other), UnregisteredStation(0, "another rig", "its matches are off the epipolar lines"))
+    found = said(
+        example, decoded(other), UnregisteredStation(0, "another rig", "its matches are off the epipolar lines")
+    )
     assert found.cause == "changed rig"
     assert found.reason == "its rig was changed: its matches are off the epipolar lines"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hw.simulated import SimulatedRoom
-from scanner.console import Activity, IdlePicture, ConsoleSettings, Worker
+from scanner.console import Activity, ConsoleSettings, IdlePicture, Worker
 from scanner.io import read_calibration
 from tests.support.loopback_bench import check_frames
 from tests.support.notebook import Notebook
