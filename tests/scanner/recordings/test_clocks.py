@@ -8,7 +8,7 @@ import pytest
 from scanner.recordings.clock_fit import fit_clocks
 from scanner.recordings.clocks import Clocks
 from scanner.recordings.start_marks import find_loops
-from tests.support.sampled_film import SIZE, FilmClocks, sample_film
+from tests.scanner.recordings.sampled_film import SIZE, FilmClocks, sample_film
 
 NTSC = 60_000 / 1001
 USUAL = FilmClocks(30.0, 1 / 60, 0.012, hold_s=0.1)
