@@ -45,7 +45,6 @@ from calib.numerics.robust import (
     robust_covariance,
     robust_sigma,
     robust_sigmas,
-    tukey_weights,
 )
 from calib.numerics.sampling import (
     ENOUGH_PIXELS,

@@ -71,14 +71,9 @@ def huber_loss(size: Floats, limit: Floats | float) -> Floats:
     return weight * size * (2 * size - weight * size)
 
 
-def tukey_weights(relative: Floats) -> Floats:
-    """Tukey's weights (N,) of residuals `relative` (N,) to the size at which they vanish."""
-    return np.clip(1 - relative**2, 0, None) ** 2
-
-
 def biweight(residual: Floats) -> Floats:
     """Tukey's weights (N,), 1 for a residual of zero and 0 beyond 4.7 robust sigmas."""
-    return tukey_weights(_relative(residual))
+    return np.clip(1 - _relative(residual) ** 2, 0, None) ** 2
 
 
 def biweight_slope(residual: Floats) -> Floats:

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from calib.geometry import Pose, cross_matrix
-from calib.numerics import Floats, compiled, tukey_weights
+from calib.numerics import Floats, compiled
 from calib.rooms.agreement import FINE
 from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
@@ -90,7 +90,7 @@ def _of_marks(moving: Surfaces, place: Pose, still: Surfaces, still_place: Pose,
     if not near.any():
         return np.zeros((6, 7))
     points, off = points[near], off[near]
-    weight = tukey_weights(relative[near]) / depth[near] ** 2
+    weight = ((1 - relative[near] ** 2) / depth[near]) ** 2
     by_twist = np.concatenate([cross_matrix(points), np.broadcast_to(np.eye(3), (len(off), 3, 3))], 1)
     sums = np.empty((6, 7))
     sums[:, :6] = np.einsum("n,nia,nja->ij", weight, by_twist, by_twist)
