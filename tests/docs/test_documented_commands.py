@@ -84,11 +84,11 @@ def run(folder: Path) -> Run:
 
 
 def photograph_codes(folder: Path) -> None:
-    """A folder as another program writes it, for the smallest projector sold and a camera that sees exactly its
+    """A folder as another program writes it, for a small projector that is sold, and a camera that sees exactly its
     picture.
     """
     folder.mkdir()
-    width, height = 640, 360
+    width, height = 640, 480
     codes: list[Pattern] = [*gray_sequence("x", width, 1), *gray_sequence("y", height, 1), White(), Black()]
     for number, pattern in enumerate(codes):
         write_png(folder / f"im{number + 1}.png", draw(pattern, (width, height)) // 2 + 20)

@@ -13,7 +13,7 @@ from scanner.patterns import draw
 from tests.support.fault_bench import FaultBench
 from tests.support.foreign_captures import ENDS, bits
 
-SIZE = (640, 360)
+SIZE = (640, 480)
 SHOWN = [*bits("x", 10), *bits("y", 9), *ENDS]
 COPYING = {"at": "scanner.importing.capture_folder:copy_given", "call": 20}
 LISTING = {"at": "scanner.importing.capture_folder:flow_yaml"}
