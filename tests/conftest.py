@@ -51,6 +51,9 @@ def browser() -> Iterator["Browser"]:
     chromium = next(filter(None, map(shutil.which, _NAMES)), None)
     if chromium is None:
         pytest.skip("no Chromium on this computer: apt-get install chromium")
+    from tests.support.browsing import PATIENCE_MS  # which needs Playwright
+
+    driver.expect.set_options(timeout=PATIENCE_MS)  # instead of five seconds
     with driver.sync_playwright() as playwright:
         launched = playwright.chromium.launch(executable_path=chromium, args=list(_FLAGS))
         yield launched
