@@ -100,7 +100,7 @@ def run(kind: str, seed: int, painted: bool) -> dict[str, float]:
         flush=True,
     )
     for left in found.left_out:
-        print(f"{'':15} {left.station}: {left.reason}")
+        print(f"{'':15} {left.station}: {left.finding.message}")
     return {"wrong": wrong and not ambiguous, "left out": len(own), "ambiguous": ambiguous, "seconds": seconds}
 
 

@@ -254,7 +254,7 @@ def main() -> None:
             continue
         ended = time.process_time()
         for outlier in room.outlier_stations:
-            print(f"  {outlier.name}: {outlier.reason}")
+            print(f"  {outlier.name}: {outlier.finding.message}")
         report(room, order, truth)
         print(f"  seconds of one processor: corners {started - began:.1f}, rest {ended - started:.1f}", flush=True)
     print(f"peak memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")

@@ -141,7 +141,7 @@ def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_
         in_sigmas,
         list(lengths_in_sigmas(room, truth, best, shift)),
         100 * abs(room.calibration.camera.focal_px[0] / truth[0].calibration.camera.focal_px[0] - 1),
-        [f"{outlier.name}: {outlier.cause}" for outlier in room.outlier_stations],
+        [f"{outlier.name}: {outlier.finding.kind.name}" for outlier in room.outlier_stations],
         start_s,
         solve_s,
     )

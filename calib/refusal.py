@@ -1,24 +1,73 @@
 """Refusals: why a capture cannot be calibrated or an object cannot be measured."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Self
+
+from calib.finding import Datum, Finding, FindingKind, Severity
+
+# Kinds of several estimates.
+
+TOO_FEW_MATCHES = FindingKind(
+    "too-few-matches",
+    "There are too few matches to find or fit anything in.",
+    "Check that both devices see the same part of the scene, light, focus and exposure; of photos, take sharper ones "
+    "closer together.",
+    ("matches", "needed_matches"),
+)
+TOO_FEW_PLANES = FindingKind(
+    "too-few-planes",
+    "Fewer than three planes were found in the matches.",
+    "Turn to the corner of a room so that two walls and the floor or ceiling are lit, with little in front of them, "
+    "and keep the devices apart.",
+    ("planes",),
+)
+UNDETERMINED_FOCAL = FindingKind(
+    "undetermined-focal",
+    "The view, or the boards, hardly determine a focal length.",
+    "Capture again from where the message suggests, and calibrate all captures together; or state what is known, as a "
+    "known principal point.",
+    ("sigma_percent",),
+)
+AMBIGUOUS = FindingKind(
+    "ambiguous",
+    "Two different answers explain the matches, or the surfaces, almost equally well.",
+    "Capture again from another place. In a room, or of a thing, make the sides different.",
+    ("camera_focal_px", "other_camera_focal_px", "times_less_likely", "turn_deg"),
+)
 
 
 class RefusalError(Exception):
-    """These matches do not determine a trustworthy calibration.
-
-    `reason` is one short sentence that names the cause; `advice` says what to do about it.
-    """
+    """These matches do not determine a trustworthy calibration; `finding` says why, and what to do about it."""
 
     refused = "calibration"
 
-    def __init__(self, reason: str, advice: str) -> None:
-        super().__init__(f"{reason} {advice}")
-        self.reason = reason
-        self.advice = advice
+    def __init__(self, kind: FindingKind, reason: str, advice: str, data: Mapping[str, Datum] | None = None) -> None:
+        self.finding = Finding(kind, Severity.REFUSAL, reason, advice, data or {})
+        super().__init__(str(self.finding))
+
+    @property
+    def reason(self) -> str:
+        """One short sentence that names the cause."""
+        return self.finding.message
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return self.finding.advice
+
+    def about(self, name: str) -> Self:
+        """The same refusal, which says what it is about."""
+        return type(self)(self.finding.kind, f"{name}: {self.reason}", self.advice, self.finding.data)
+
+    @classmethod
+    def of(cls, finding: Finding) -> Self:
+        """The refusal for a finding."""
+        return cls(finding.kind, finding.message, finding.advice, finding.data)
 
 
 class NoMeasurementError(RefusalError):
-    """Clouds do not determine a trustworthy measurement of an object; `reason` and `advice` as above."""
+    """Clouds do not determine a trustworthy measurement of an object; `finding` as above."""
 
     refused = "measurement"
 

@@ -22,9 +22,10 @@ from calib.boards.parameters import (
     project_rays,
     rays_of,
 )
+from calib.finding import FindingKind
 from calib.geometry import Size
 from calib.numerics import Bools, Floats
-from calib.refusal import RefusalError
+from calib.refusal import AMBIGUOUS, UNDETERMINED_FOCAL, RefusalError
 
 FEWEST_VIEWS = 3
 _USEFUL_SIGMA = 0.03  # sigma of a log focal length
@@ -41,6 +42,30 @@ _GRID = 13
 _ADVICE = (
     "Take six to ten captures with the board tilted by 20 to 45 degrees, to either side and up and down, at different "
     "distances, so that together they fill both pictures."
+)
+
+TOO_FEW_BOARDS = FindingKind(
+    "too-few-boards",
+    "Fewer than three views of a printed board are usable.",
+    "Take six to ten captures of the board, tilted to different sides.",
+    ("views",),
+)
+BOARDS_MISFIT = FindingKind(
+    "boards-misfit",
+    "No camera and projector explain the boards.",
+    "Check the board's kind and counts, that it is flat, and that nothing moved during a capture.",
+)
+PARALLEL_BOARDS = FindingKind(
+    "parallel-boards",
+    "All boards are nearly parallel, which does not determine focal lengths.",
+    "Tilt the board by 20 to 45 degrees, to either side and up and down.",
+    ("tilt_deg",),
+)
+UNDETERMINED_LENS = FindingKind(
+    "undetermined-lens",
+    "The boards do not determine a device's lens over the whole common view.",
+    "Take captures in which the boards fill what is still empty of both pictures.",
+    ("ray_sigma_px",),
 )
 
 
@@ -90,13 +115,16 @@ def _hull_share(pixels: Sequence[Floats], size: Size) -> float:
 def too_few(count: int) -> RefusalError:
     """The refusal of fewer views than determine anything."""
     return RefusalError(
-        f"{count} usable {'view' if count == 1 else 'views'} of the board; at least three are needed.", _ADVICE
+        TOO_FEW_BOARDS,
+        f"{count} usable {'view' if count == 1 else 'views'} of the board; at least three are needed.",
+        _ADVICE,
+        {"views": float(count)},
     )
 
 
 def no_rig(coverage: BoardCoverage | None) -> RefusalError:
     """The refusal where no devices explain the views."""
-    return RefusalError("No camera and projector explain these boards" + _because(coverage), _ADVICE)
+    return RefusalError(BOARDS_MISFIT, "No camera and projector explain these boards" + _because(coverage), _ADVICE)
 
 
 def refuse_untrustworthy(
@@ -105,29 +133,43 @@ def refuse_untrustworthy(
     """Raise RefusalError where the boards do not determine both devices, everywhere in their pictures and uniquely."""
     sigma = np.sqrt(found.covariance.diagonal())
     if coverage.tilt_deg < _HOPELESSLY_PARALLEL_DEG:
-        raise RefusalError("Parallel boards do not determine focal lengths" + _because(coverage), _ADVICE)
+        raise RefusalError(
+            PARALLEL_BOARDS,
+            "Parallel boards do not determine focal lengths" + _because(coverage),
+            _ADVICE,
+            {"tilt_deg": coverage.tilt_deg},
+        )
     for name, device in (("camera", CAMERA), ("projector", PROJECTOR)):
         if not sigma[device][FOCAL] < _USEFUL_SIGMA:
             raise RefusalError(
+                UNDETERMINED_FOCAL,
                 f"These boards hardly determine the {name}'s focal length: its sigma is "
                 f"{100 * sigma[device][FOCAL]:.2g} %" + _because(coverage),
                 _ADVICE,
+                {"sigma_percent": 100 * float(sigma[device][FOCAL])},
             )
     for name, sigmas, size in zip(("camera", "projector"), ray_sigmas(found, sizes), sizes, strict=True):
         worst = float(np.nanmax(sigmas, initial=0.0))
         if not worst < _USEFUL_RAY * max(size):
             raise RefusalError(
+                UNDETERMINED_LENS,
                 f"These boards do not determine the {name}'s lens over the whole common view: the sigma of a ray is "
                 f"up to {worst:.2g} px" + _because(coverage),
                 _ADVICE,
+                {"ray_sigma_px": worst},
             )
     for other in others:
         apart = np.abs(other.state.additive() - found.state.additive())[[CAMERA.start, PROJECTOR.start]]
         if other.cost - found.fit.cost < _CLEARLY_WORSE and np.any(apart > 2 * sigma[[CAMERA.start, PROJECTOR.start]]):
             raise RefusalError(
+                AMBIGUOUS,
                 f"Ambiguous: {_focals(found.fit)}, and {_focals(other)}, explain these boards almost equally well"
                 + _because(coverage),
                 _ADVICE,
+                {
+                    "camera_focal_px": float(found.fit.state.camera[0]),
+                    "other_camera_focal_px": float(other.state.camera[0]),
+                },
             )
 
 

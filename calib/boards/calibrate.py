@@ -32,6 +32,7 @@ from calib.boards.parameters import (
     intrinsics_of,
 )
 from calib.boards.starts import best_first, rough_levels, starts
+from calib.finding import FindingKind
 from calib.geometry import Calibration, DeviceSigmas, Sigmas, Size
 from calib.refinement import ORDINARY_LENSES, LensPrior
 from calib.refusal import RefusalError
@@ -41,6 +42,14 @@ _OUTLIER_SIGMAS, _OUTLIER_RATIO, _OUTLIER_PX = 4.0, 4.0, 0.2
 _MOST_OUTLIERS = 0.34  # largest share of the views that are left out
 _STEPS = 20
 _SURPRISING = 1.3  # ratio of prediction errors to the expected ones
+
+BOARDS_CONTRADICT = FindingKind(
+    "boards-contradict",
+    "Too many boards are elsewhere than the others predict.",
+    "The rig, its zoom or its focus may have changed between the captures, or the board moved during one: take them "
+    "again.",
+    ("off_px", "usual_px"),
+)
 
 
 @dataclass(frozen=True)
@@ -163,10 +172,12 @@ def _without_outliers(
             return found, predictions, tuple(left_out)
         if len(left_out) == most or len(errors) == FEWEST_VIEWS:
             raise RefusalError(
+                BOARDS_CONTRADICT,
                 f"The boards contradict each other: {predictions[worst].name} is {errors[worst]:.2g} projector px from "
                 f"where the others predict it, {usual:.2g} px is usual, and {len(left_out)} were already left out.",
                 "The rig, its zoom or its focus may have changed between the captures, or the board may have moved "
                 "during one.",
+                {"off_px": float(errors[worst]), "usual_px": float(usual)},
             )
         left_out.append(OutlierView(predictions[worst].name, float(errors[worst]), usual))
         found = anew([*found.views[:worst], *found.views[worst + 1 :]])

@@ -22,7 +22,7 @@ from calib.refinement import (
     covariance_of,
     intrinsic_distance,
 )
-from calib.refusal import RefusalError, Wording
+from calib.refusal import AMBIGUOUS, UNDETERMINED_FOCAL, RefusalError, Wording
 
 USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley
 _TENSION_SIGMAS = 4.0
@@ -45,10 +45,44 @@ PICTURE_SCALED = FindingKind(
     ("aspect_percent", "sigma_percent", "probability_share"),
 )
 
+NO_SQUARE_CORNER = FindingKind(
+    "no-square-corner",
+    "For no focal length are the three faces the picture of a square corner.",
+    "Look at the coloured faces in the report. If they are wrong, draw them (--masks); otherwise show all three large "
+    "and at different slants.",
+)
+ONE_PLANE = FindingKind(
+    "faces-in-one-plane",
+    "Faces of the supposed corner lie in one plane.",
+    "Choose a corner with three planes, let light fall on all of them, and keep both devices well apart.",
+    ("captures",),
+)
+IMPLAUSIBLE_FOCAL = FindingKind(
+    "implausible-focal",
+    "The solution has a focal length that no ordinary device has.",
+    "The faces may not be square to each other, or frames and patterns do not belong together. Choose another view.",
+    ("focal_widths",),
+)
+CORNER_MISFIT = FindingKind(
+    "corner-misfit",
+    "No corner explains the matches: a smooth misfit remains over the faces.",
+    "Faces may be bent or wrong, or the lenses may have more distortion than the model allows for. Choose another "
+    "corner, or calibrate the rig with a board.",
+    ("captures", "misfit_px", "limit_px"),
+)
+NOT_SQUARE = FindingKind(
+    "not-square",
+    "The faces are less square to each other than corner.squareness_deg allows for.",
+    "Choose another corner, or allow for more (0.5 or 1 in an old house). Check a principal point that was given as "
+    "known, and the projector's keystone correction.",
+    ("allowed_deg", "off_square_deg", "cost"),
+)
+
 
 def no_corner(captures: Sequence[Cells], words: Wording) -> RefusalError:
     """The refusal if no focal length makes the faces a square corner."""
     return RefusalError(
+        NO_SQUARE_CORNER,
         "These three faces are not the picture of a square corner for any focal length of the camera"
         + _because([reason for cells in captures for reason in reasons_in_images(cells)]),
         "A face may be wrong, or be seen edge on. " + words.move + words.shape,
@@ -61,8 +95,10 @@ def refuse_degenerate(captures: Sequence[Cells], straightened: Sequence[Straight
         of = f" of {words.taken} {i + 1}" if len(captures) > 1 else ""
         if reason := one_plane(cells, straight, words):
             raise RefusalError(
+                ONE_PLANE,
                 f"The faces{of} are not those of a corner: {reason}.",
                 f"Choose a corner with three planes, and keep {words.both} well apart. " + words.move,
+                {"captures": (i + 1,)},
             )
 
 
@@ -74,20 +110,24 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
     for device, value in relative.items():
         if not value < USEFUL_SIGMA:
             raise RefusalError(
+                UNDETERMINED_FOCAL,
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
                 + _because(_reasons(refinement, words))
                 + _if_centred(refinement),
                 _sentences(*on_repeats(refinement), *on_picture_scale(refinement), _where_to_go(refinement, knowledge))
                 + missing_knowledge(knowledge),
+                {"sigma_percent": 100 * value},
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
     alternatives = [fit for fit in refinement.others if not _absurd_focals(fit, knowledge)]
     _refuse_ambiguous(fit, alternatives, np.array([*relative.values(), *centre]), words)
     for name, field in _absurd_focals(fit, knowledge).items():
         raise RefusalError(
+            IMPLAUSIBLE_FOCAL,
             f"The solution has a {name} with a focal length of {field:.2g} image widths, which is implausible"
             + _because(_reasons(refinement, words)),
             f"The faces may not be square to each other, or {words.unrelated}. " + words.move + words.shape,
+            {"focal_widths": field},
         )
     _refuse_misfit(refinement, words)
     _refuse_skew(refinement, knowledge)
@@ -178,10 +218,12 @@ def _refuse_misfit(refinement: Refinement, words: Wording) -> None:
         if noise.smooth_px > limit_px:
             which = f" of {words.taken} {i + 1}" if len(refinement.noise) > 1 else ""
             raise RefusalError(
+                CORNER_MISFIT,
                 f"No corner explains the matches{which}: {noise.smooth_px:.2g} {words.pixels} of smooth misfit remain "
                 f"over the faces, where {words.smooth} leave less than {limit_px:.2g}.",
                 "The faces may be bent or wrong, or the lenses may have more distortion than the model allows "
                 "for. " + words.move + words.shape,
+                {"captures": (i + 1,), "misfit_px": noise.smooth_px, "limit_px": limit_px},
             )
 
 
@@ -190,6 +232,7 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
     if refinement.tension > float(chdtri(refinement.fit.state.off_square.size, 1 - _SIGNIFICANT)):
         angles = "" if knowledge.squareness_deg == 0 else f" (they seem to be off by {signed(worst)} degrees)"
         raise RefusalError(
+            NOT_SQUARE,
             f"The faces are not square to each other{angles}, where "
             + (
                 f"{knowledge.squareness_deg:g} degrees were allowed for"
@@ -203,6 +246,11 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
             )
             + _given_centre(knowledge)
             + knowledge.words.shape,
+            {
+                "allowed_deg": knowledge.squareness_deg,
+                "off_square_deg": float(np.abs(worst).max()),
+                "cost": refinement.tension,
+            },
         )
 
 
@@ -239,9 +287,14 @@ def _refuse_ambiguous(best: Fit, alternatives: Sequence[Fit], sigmas: Floats, wo
         apart = intrinsic_distance(alternative.state, best.state)
         if alternative.cost - best.cost < CLEARLY_WORSE and np.any(apart > 2 * sigmas):
             raise RefusalError(
+                AMBIGUOUS,
                 f"Ambiguous: {_intrinsics(best)}, and {_intrinsics(alternative)}, explain this {words.taken} almost "
                 "equally well.",
                 words.again,
+                {
+                    "camera_focal_px": float(best.state.camera[0]),
+                    "other_camera_focal_px": float(alternative.state.camera[0]),
+                },
             )
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.special import chdtri
 
+from calib.finding import FindingKind
 from calib.numerics import Bools, Floats
 from calib.refinement import (
     CAMERA,
@@ -31,6 +32,13 @@ _ROWS = (
     ("the direction of the baseline", tuple(range(TRANSLATION.start, TRANSLATION.stop)), "°"),
 )
 
+RIG_CHANGED = FindingKind(
+    "rig-changed",
+    "The rig changed between captures that were calibrated together, or between captures and boards.",
+    "Calibrate from either alone, or capture both again without refocusing, zooming or moving a device.",
+    ("cost", "limit"),
+)
+
 
 class ContradictionError(RefusalError):
     """Captures of a corner and other data are not of one unchanged rig."""
@@ -50,11 +58,13 @@ def refuse_contradiction(refinement: Refinement, rig: KnownRig, systematic: Floa
     limit = _limit(refinement, rig, systematic[:SHARED, :SHARED])
     if raised > limit:
         raise ContradictionError(
+            RIG_CHANGED,
             f"The rig changed between these captures and the boards: fitted together, −2 log likelihood is higher by "
             f"{raised:.0f}, where chance explains at most {limit:.0f}. Fitted separately, they differ in "
             f"{_differences(apart, refinement.prior.free, rig)}.",
             "Something was refocused, zoomed or moved between the two: calibrate from either alone, or capture both "
             "again without a change.",
+            {"cost": raised, "limit": limit},
         )
     return raised, limit
 

@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 
 from calib.diagnostics.smooth_errors import smooth_error_px, smooth_modes
 from calib.diagnostics.uncertainty import Uncertainty, moved_calibration
+from calib.finding import FindingKind
 from calib.geometry import Calibration, Matches, intersect, midpoints
 from calib.numerics import Floats, Ints
 from calib.pointcloud import Plane, by_projector_px
@@ -21,6 +22,12 @@ from calib.refusal import NoMeasurementError
 _STEP_PX = 0.01  # step in projector pixels, for derivatives
 _MOST_EVALUATED = 2048  # points where calibration errors are evaluated; sigmas are accurate to 0.2 %
 _RULER = 0.03  # half the length of the ruler over its distance
+
+NO_PIXEL = FindingKind(
+    "no-pixel",
+    "The lens terms of a calibration put the middle of the scene outside of all pixels.",
+    "Calibrate the rig again.",
+)
 
 
 @dataclass(frozen=True)
@@ -286,7 +293,7 @@ def length_in_the_middle(points: Floats, errors: SystematicErrors) -> Budget:
     pixels = rig.camera.project(ends), rig.projector.project(rig.pose @ ends)
     if not np.isfinite(pixels).all():
         raise NoMeasurementError(
-            "With these lens terms the middle of the scene has no pixel.", "Calibrate the rig again."
+            NO_PIXEL, "With these lens terms the middle of the scene has no pixel.", NO_PIXEL.remedy
         )
     moved = errors.of_points(Matches(*pixels), ends)
     strain = np.stack([moved[axis, axis] - moved[3 + axis, axis] for axis in range(3)]) / (2 * half)

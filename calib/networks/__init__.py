@@ -1,5 +1,6 @@
 """Networks: several cameras and projectors in one room, calibrated together by the walls that they light and see."""
 
+from calib.networks.doubts import Strain
 from calib.networks.estimate import NetworkEstimate, estimate_network
 from calib.networks.joined import DepthDisagreement, Joined, joined
 from calib.networks.network import Device, Network

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calib.finding import FindingKind
 from calib.geometry import Matches, Size
 from calib.networks.network import Network
 from calib.networks.overlaps import PairName
@@ -17,6 +18,13 @@ from calib.rooms.likelihood import Fit
 
 _SAMPLE = 20_000
 _ALIKE = 0.03  # of the distance of what they see, as of a rig's baseline in `calib.diagnostics`
+
+MIRRORED = FindingKind(
+    "mirrored",
+    "A device's picture is seen as in a mirror.",
+    "Switch mirroring, as for rear projection or ceiling mount, off in its settings; do not photograph its picture in "
+    "a mirror.",
+)
 
 
 def refuse_mirrored(captures: Mapping[PairName, Matches], sizes: Mapping[str, Size]) -> None:
@@ -30,6 +38,7 @@ def refuse_mirrored(captures: Mapping[PairName, Matches], sizes: Mapping[str, Si
         wrong = {name for name in names if all(turned[pair] for pair in turned if pair[role] == name)}
         if wrong:
             raise RefusalError(
+                MIRRORED,
                 f"The picture of {' and '.join(sorted(wrong))} is seen as in a mirror.",
                 f"Switch mirroring, as for rear projection, off in the settings of these {kind}; or on, where light "
                 "takes a mirror on its way.",
@@ -37,6 +46,7 @@ def refuse_mirrored(captures: Mapping[PairName, Matches], sizes: Mapping[str, Si
     if any(turned.values()):
         camera, projector = next(pair for pair, mirrored in turned.items() if mirrored)
         raise RefusalError(
+            MIRRORED,
             f"{camera} in the light of {projector} is seen as in a mirror, but not in other captures of these two.",
             "Take it again, with the same settings of all devices.",
         )

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.finding import FindingKind
 from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Size
 from calib.networks.doubts import Strain, refuse_mirrored, standing_alike, strains
 from calib.networks.growth import ROUGH, Grown
@@ -27,6 +28,12 @@ _MOST = 200_000  # matches of a pair, to twice as many: their mean noise is far 
 _METHODS: tuple[Method, ...] = ("refined", "paper")
 _ROUNDS = 4
 _IN_FRONT = 0.98  # of a sight's cells
+
+NO_CORNER_IN_NETWORK = FindingKind(
+    "no-corner-in-network",
+    "No camera of a network sees three faces of a corner in one projector's light.",
+    "Turn one projector and one camera towards a corner of the room; the others follow from there.",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +139,9 @@ def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> 
     }
     if not cornered:
         raise RefusalError(
+            NO_CORNER_IN_NETWORK,
             "No camera sees three faces of a corner in one projector's light.",
-            "Turn one projector and one camera towards a corner of the room; the others follow from there.",
+            NO_CORNER_IN_NETWORK.remedy,
         )
     refusals: list[RefusalError] = []
     # With one camera, or one projector, nothing tells that a poor start ended in a wrong minimum.

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.finding import FindingKind
 from calib.geometry import Size
 from calib.networks.growth import Grown
 from calib.numerics import Bools, Floats
@@ -11,6 +12,12 @@ from calib.refusal import RefusalError
 
 _FEWEST = 30  # cells that both see
 _WIDE = 0.75  # of a picture's width or height: more is all of it
+
+NOT_CONNECTED = FindingKind(
+    "not-connected",
+    "Devices of a network share too little with the others to be placed.",
+    "Take a capture of one of them together with one of the others, or let them see more of what the others see.",
+)
 
 
 def not_connected(grown: Grown) -> RefusalError:
@@ -22,11 +29,12 @@ def not_connected(grown: Grown) -> RefusalError:
         camera, projector = grown.waiting[0]
         placed_camera, placed_projector = grown.names[:2]
         return RefusalError(
+            NOT_CONNECTED,
             f"{reason} No capture is of one of these and one of those.",
             f"Take one of {placed_camera} in the light of {projector}, or of {camera} in that of {placed_projector}.",
         )
     where, advice = _overlap(grown, bridges)
-    return RefusalError(f"{reason} {where}", advice)
+    return RefusalError(NOT_CONNECTED, f"{reason} {where}", advice)
 
 
 def _overlap(grown: Grown, bridges: Sequence[tuple[str, str]]) -> tuple[str, str]:

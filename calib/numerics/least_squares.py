@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from calib.finding import FindingKind
 from calib.numerics.arrays import Floats, Ints
 from calib.numerics.jit import compiled
 from calib.refusal import RefusalError, Wording
@@ -185,6 +186,14 @@ def _add_up(jacobian: Floats, residual: Floats, weight: Floats, hessian: Floats,
             hessian[q, p] = hessian[p, q]
 
 
+NO_CORNER = FindingKind(
+    "no-corner",
+    "The matches determine no corner: those of a face lie on a line or in a few points.",
+    "Show all three faces large and at different slants to both devices, and check that frames and patterns belong "
+    "together.",
+)
+
+
 @contextmanager
 def singular_refused(wording: Wording) -> Iterator[None]:
     """Turn equations without a solution, which follow from matches that are on no three planes, into RefusalError."""
@@ -192,6 +201,7 @@ def singular_refused(wording: Wording) -> Iterator[None]:
         yield
     except np.linalg.LinAlgError as error:
         raise RefusalError(
+            NO_CORNER,
             f"The matches determine no corner ({error}): those of a face lie on a line or in a few points, or "
             f"{wording.unrelated}.",
             wording.move,

@@ -5,5 +5,5 @@ from calib.objects.background import FEWEST as FEWEST_TO_REST
 from calib.objects.background import in_planes, resting_depth, resting_planes, within
 from calib.objects.confirmation import confirmed
 from calib.objects.joint import JointEstimate, estimate_jointly
-from calib.objects.registration import AlternativePose, Registered, UnregisteredView, register_views
+from calib.objects.registration import TOO_SMALL, AlternativePose, Registered, register_views
 from calib.objects.view import FEWEST_PIXELS, ObjectView, view_of

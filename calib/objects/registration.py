@@ -9,16 +9,17 @@ Missing views are searched once more, longer, because they overlap little.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import IDENTITY, Pose
 from calib.objects.candidates import suggested_poses
 from calib.objects.joint import NARROW, settled
 from calib.objects.patch_overlap import OverlapEvidence, evidence, tolerance
 from calib.objects.pose_search import are_about_the_same
 from calib.objects.view import PATCHES, ObjectView
+from calib.rooms import NO_OVERLAP, NOTHING_SEEN, UnregisteredStation
 
 _SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
@@ -26,6 +27,18 @@ _LEAST_SHARE, _LEAST_AGREEING = 0.75, 0.12  # share of the patches that could ag
 _SURE_SHARE = 0.88  # for a pose by a group, or one of hundreds, some of which agree by chance
 _FEWEST_AGREEING = 0.08  # share of all patches, before a pose is refined
 _AS_GOOD = 0.93  # relative to the best pose
+
+TOO_SMALL = FindingKind(
+    "too-small",
+    "A station is left out: too few of its pixels measure anything.",
+    "Bring the rig nearer, so that the thing fills the picture, and expose longer or spray it if it is dark or shiny.",
+    ("pixels",),
+)
+DOES_NOT_FIT = FindingKind(
+    "does-not-fit",
+    "A station of a thing is left out: wherever it fits one station, others see through or past its surface.",
+    "Turn the thing less between stations, and let nothing of it bend or move.",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,22 +79,13 @@ class _Judgement:
         return self.agreeing > _SURE_SHARE * self.patches
 
 
-@dataclass(frozen=True)
-class UnregisteredView:
-    """A view that belongs to none, and why."""
-
-    view: int
-    cause: Literal["nothing seen", "too small", "no overlap", "does not fit"]
-    reason: str
-
-
 @dataclass(frozen=True, eq=False)
 class Registered:
     """`places` by view, X_common = R X_view + t, of the largest group; `alternatives` make it ambiguous."""
 
     places: Mapping[int, Pose]
     alternatives: tuple[AlternativePose, ...]
-    left_out: tuple[UnregisteredView, ...]
+    left_out: tuple[UnregisteredStation, ...]
 
 
 def register_views(views: Sequence[ObjectView | None]) -> Registered:
@@ -90,7 +94,7 @@ def register_views(views: Sequence[ObjectView | None]) -> Registered:
     edges = {(i, j): _suggested(seen[i], seen[j]) for i, j in combinations(seen, 2)}
     sure = {pair: found for pair, found in edges.items() if found}
     left_out = [
-        UnregisteredView(k, "nothing seen", "it shows only the static background")
+        UnregisteredStation(k, Finding(NOTHING_SEEN, Severity.WARNING, "it shows only the static background"))
         for k in range(len(views))
         if k not in seen
     ]
@@ -109,15 +113,15 @@ def register_views(views: Sequence[ObjectView | None]) -> Registered:
 
 def _unplaced(
     k: int, views: Mapping[int, ObjectView], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
-) -> UnregisteredView:
+) -> UnregisteredStation:
     pixels = int(np.count_nonzero(np.isfinite(views[k].points[..., 2])))
     if pixels < PATCHES:
-        return UnregisteredView(k, "too small", f"only {pixels} of its pixels measure the thing")
+        message = f"only {pixels} of its pixels measure the thing"
+        return UnregisteredStation(k, Finding(TOO_SMALL, Severity.WARNING, message, data={"pixels": float(pixels)}))
     if any(k in pair for pair in edges):
-        return UnregisteredView(
-            k, "does not fit", "wherever it fits one station, others see through or past its surface"
-        )
-    return UnregisteredView(k, "no overlap", "its surface fits that of no other station")
+        message = "wherever it fits one station, others see through or past its surface"
+        return UnregisteredStation(k, Finding(DOES_NOT_FIT, Severity.WARNING, message))
+    return UnregisteredStation(k, Finding(NO_OVERLAP, Severity.WARNING, "its surface fits that of no other station"))
 
 
 def _largest_group(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.finding import FindingKind
 from calib.geometry import NO_FACE, Matches
 from calib.numerics import Floats, Ints, compiled, in_pieces, singular_refused
 from calib.plane_segmentation.corner_hypotheses import Triple, Triples, corner_triples, outermost
@@ -12,7 +13,7 @@ from calib.plane_segmentation.labelling import label_matches
 from calib.plane_segmentation.plane_extraction import NO_PLANE
 from calib.plane_segmentation.segmentation import Segments, segmentations
 from calib.plane_segmentation.surfels import make_surfels
-from calib.refusal import RIG, RefusalError
+from calib.refusal import RIG, TOO_FEW_MATCHES, TOO_FEW_PLANES, RefusalError
 
 _SEED = 20240
 _FEWEST_MATCHES = 1500
@@ -24,6 +25,24 @@ _MOST_DIRECTION_SIGMA_DEG = 0.2
 # Log odds that the projector distorts its image; −7 to −4 for undistorted images. Walls and furniture a degree or two
 # off square, or an off-centre principal point, can look like a small distortion.
 _CLEARLY_OBLONG, _NOTABLY_OBLONG = 5.0, 0.05
+
+NOT_SMOOTH = FindingKind(
+    "matches-not-smooth",
+    "Neighbouring camera pixels are matched to scattered projector pixels.",
+    "Check focus, exposure, and that the frames belong to the patterns they are listed with.",
+)
+OBLONG_PIXELS = FindingKind(
+    "oblong-pixels",
+    "The planes are those of a room only if the projector's pixels are oblong or skewed.",
+    "Switch keystone correction and zoom off, and show the picture pixel for pixel.",
+    ("planes", "off_square_share"),
+)
+NO_PERPENDICULAR_PLANES = FindingKind(
+    "no-perpendicular-planes",
+    "Of the planes that were found, no three are clearly perpendicular to each other.",
+    "Capture the corner of a room, or three faces of a box, with all three faces large in the picture.",
+    ("planes", "direction_sigma_deg"),
+)
 
 
 @dataclass(frozen=True)
@@ -62,15 +81,18 @@ def find_faces(
     """
     if len(matches) < _FEWEST_MATCHES:
         raise RefusalError(
+            TOO_FEW_MATCHES,
             f"Only {len(matches)} matches: too few to find planes in (at least {_FEWEST_MATCHES} are needed).",
             "Check that camera and projector see the same part of the room, light and exposure; or label the faces.",
+            {"matches": float(len(matches)), "needed_matches": float(_FEWEST_MATCHES)},
         )
     rng = np.random.default_rng(_SEED)
     surfels = make_surfels(matches, camera_size, rng)
     if len(surfels) < max(_FEWEST_SURFELS, _LEAST_SMOOTH * surfels.tried):
         raise RefusalError(
+            NOT_SMOOTH,
             "The matches are not smooth: neighbouring camera pixels are matched to scattered projector pixels.",
-            "Check focus, exposure, and that the frames belong to the patterns they are listed with.",
+            NOT_SMOOTH.remedy,
         )
     point = (0.0, 0.0) if principal_point_px is None else _ideal_point(principal_point_px, camera_size)
     segments, certain = _with_corner(segmentations(surfels, camera_size, projector_size, rng), surfels.camera_px, point)
@@ -99,28 +121,36 @@ def _too_few(segments: Segments) -> RefusalError:
     share, uneven = np.mean(segments.label >= 0), _unevenness(segments)
     if len(segments.planes) == 0:
         return RefusalError(
+            TOO_FEW_PLANES,
             f"No plane was found in the matches{uneven}.",
             "Capture the corner of a room with little in front of it.",
+            {"planes": 0.0},
         )
     if len(segments.planes) == 1:
         return RefusalError(
+            TOO_FEW_PLANES,
             f"Only one plane was found, with {share:.0%} of the matches{uneven}: a flat wall, or a projector that "
             "stands where the camera stands.",
             "Turn to the corner of a room so that two walls and the floor or ceiling are lit, "
             "and keep camera and projector apart.",
+            {"planes": 1.0},
         )
     return RefusalError(
+        TOO_FEW_PLANES,
         f"Only two planes were found, with {share:.0%} of the matches{uneven}; a corner has three.",
         "Tilt the rig so that the floor or ceiling is lit as well as both walls, each over a good part of the picture.",
+        {"planes": 2.0},
     )
 
 
 def _oblong(segments: Segments, triples: Triples) -> RefusalError:
     return RefusalError(
+        OBLONG_PIXELS,
         f"{len(segments.planes)} planes were found. They are parallel or perpendicular to each other, as walls and "
         f"furniture are, if the projector's pixels are oblong or skewed by {triples.off_square:.0%}, but hardly so if "
         "they are square.",
         RIG.shape.strip(),
+        {"planes": float(len(segments.planes)), "off_square_share": float(triples.off_square)},
     )
 
 
@@ -128,11 +158,14 @@ def _no_corner(segments: Segments, triples: Triples) -> RefusalError:
     advice = "Capture the corner of a room, or three faces of a box, with all three faces large in the picture."
     count, uneven = f"{len(segments.planes)} planes were found", _unevenness(segments)
     if not triples.square:
-        return RefusalError(f"{count}{uneven}, but no three of them are perpendicular to each other.", advice)
+        reason = f"{count}{uneven}, but no three of them are perpendicular to each other."
+        return RefusalError(NO_PERPENDICULAR_PLANES, reason, advice, {"planes": float(len(segments.planes))})
     sigma = min(triple.direction_sigma_deg for triple in triples.square)
     return RefusalError(
+        NO_PERPENDICULAR_PLANES,
         f"{count}{uneven}; three could be perpendicular, but are too small or too uneven to tell (by {sigma:.1f}°).",
         advice,
+        {"planes": float(len(segments.planes)), "direction_sigma_deg": float(sigma)},
     )
 
 

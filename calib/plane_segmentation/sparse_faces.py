@@ -13,10 +13,11 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from calib.finding import FindingKind
 from calib.geometry import NO_FACE, Matches, dehomogenise, homogeneous
 from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, singular_refused
 from calib.plane_segmentation.plane_extraction import NO_PLANE
-from calib.refusal import PHOTOS, RefusalError
+from calib.refusal import PHOTOS, TOO_FEW_MATCHES, TOO_FEW_PLANES, RefusalError
 
 _FEWEST_MATCHES = 60
 _FEWEST_ON_A_PLANE = 25
@@ -28,6 +29,13 @@ _ROUNDS = 6
 _NEIGHBOURS = 9
 _ALIKE = 0.7  # share of a plane's matches that another one explains, above which they are merged
 _GATE_SIGMAS = 5.0
+
+FACES_MISSING = FindingKind(
+    "faces-missing",
+    "Faces of the corner in the first two photos were not found in a further one.",
+    "Leave this photo out, or take another one with all three faces large in it.",
+    ("faces",),
+)
 
 
 @dataclass(frozen=True)
@@ -71,8 +79,10 @@ def find_same_faces(labelled: Matches, matches: Matches, size: tuple[int, int]) 
     missing = sorted(set(range(3)) - set(face_of.tolist()))
     if missing:
         raise RefusalError(
+            FACES_MISSING,
             f"{len(missing)} of the corner's three faces in the first two photos were not found in this one.",
-            "Leave this photo out, or take another one with all three faces large in it.",
+            FACES_MISSING.remedy,
+            {"faces": tuple(missing)},
         )
     return SparseFaces(matches.with_faces(face_of[plane]), plane)
 
@@ -84,8 +94,10 @@ def find_sparse_planes(matches: Matches, size: tuple[int, int]) -> tuple[Ints, i
     """
     if len(matches) < _FEWEST_MATCHES:
         raise RefusalError(
+            TOO_FEW_MATCHES,
             f"Only {len(matches)} matches: too few to find planes in (at least {_FEWEST_MATCHES} are needed).",
             "Take sharper photos closer together, with some texture on all three faces.",
+            {"matches": float(len(matches)), "needed_matches": float(_FEWEST_MATCHES)},
         )
     limit_px = _OFF_OF_WIDTH * size[0]
     planes = _one_after_the_other(matches, limit_px)
@@ -197,14 +209,19 @@ def _area(pixels: Floats) -> float:
 def _too_few(plane: Ints, count: int) -> RefusalError:
     share = float(np.mean(plane >= 0))
     if count == 0:
-        return RefusalError("No plane was found in the matches.", "Choose a corner with little in front of it.")
+        advice = "Choose a corner with little in front of it."
+        return RefusalError(TOO_FEW_PLANES, "No plane was found in the matches.", advice, {"planes": 0.0})
     if count == 1:
         return RefusalError(
+            TOO_FEW_PLANES,
             f"Only one plane was found, with {share:.0%} of the matches: a flat wall, or photos from one place (a "
             "camera that is only turned or zoomed sees no depth).",
             PHOTOS.move,
+            {"planes": 1.0},
         )
     return RefusalError(
+        TOO_FEW_PLANES,
         f"Only two planes were found, with {share:.0%} of the matches; a corner has three.",
         "Get the floor or the ceiling into both photos as well as both walls, each with something to match on it.",
+        {"planes": 2.0},
     )

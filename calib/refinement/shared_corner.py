@@ -12,6 +12,7 @@ from operator import attrgetter
 import numpy as np
 from scipy.special import chdtri
 
+from calib.finding import FindingKind
 from calib.geometry import FACES, leg_signs
 from calib.numerics import Floats
 from calib.refinement.likelihood import Fit, Knowledge
@@ -25,6 +26,13 @@ _MOST_CAPTURES = 8
 _CLOSER_LOOKS = 9
 _SIGNIFICANT = 0.999
 _CLOSE = 12.0  # in cost of a sample of the cells; orders above the best by more are dropped
+
+TOO_MANY_CAPTURES = FindingKind(
+    "too-many-captures",
+    "More captures of one corner were given than can be put in order.",
+    "Calibrate from fewer of them, or set corner.same: false.",
+    ("most_captures",),
+)
 
 
 @dataclass(frozen=True)
@@ -57,8 +65,10 @@ def tie(
         return captures, fits, None
     if len(captures) > _MOST_CAPTURES:
         raise RefusalError(
+            TOO_MANY_CAPTURES,
             f"{len(captures)} captures of one corner were given; at most {_MOST_CAPTURES} can be put in order.",
-            "Calibrate from fewer of them, or set corner.same: false.",
+            TOO_MANY_CAPTURES.remedy,
+            {"most_captures": float(_MOST_CAPTURES)},
         )
     levels = [max(float(np.mean(r**2)), 1e-12) for r in fits[0].residuals]
     trials = [

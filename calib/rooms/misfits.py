@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.rooms.agreement import COARSE, compare_one
@@ -21,6 +22,19 @@ _MOST_TIMES_WORSE = 1.8
 _LEAST_PATCHES = 30
 # Prior from a relative error of the calibration, with the weight of this many patches.
 _OFF, _SUPPOSED_PATCHES = 0.002, 500.0
+
+ANOTHER_ROOM = FindingKind(
+    "another-room",
+    "A station is left out: it is of another room, or something was moved.",
+    "Leave it out, or take it again with everything at its place.",
+    ("looked_through_share",),
+)
+SOMETHING_MOVED = FindingKind(
+    "something-moved",
+    "A station is left out: its surfaces are bent otherwise than those of all others.",
+    "Do not change the rig between stations, let nothing move, and take the station again.",
+    ("deviation_ratio",),
+)
 
 
 @dataclass(frozen=True)
@@ -39,19 +53,25 @@ class Misfit:
         return self.times_worse > _MOST_TIMES_WORSE
 
     @property
-    def reason(self) -> str:
-        """Why it is to be left out, as a sentence; empty if it is not."""
+    def finding(self) -> Finding | None:
+        """Why it is to be left out, as a clause; None if it is not."""
         if self.of_another_shape:
-            return (
+            return Finding(
+                SOMETHING_MOVED,
+                Severity.WARNING,
                 f"its surfaces deviate {self.times_worse:.1f} times as far from the other stations' as those from each "
-                "other: the rig was changed, or something was moved"
+                "other: the rig was changed, or something was moved",
+                data={"deviation_ratio": self.times_worse},
             )
         if self.contradiction > _MOST_CONTRADICTION:
-            return (
+            return Finding(
+                ANOTHER_ROOM,
+                Severity.WARNING,
                 f"where it fits best, {self.contradiction:.0%} of the surfaces in common view are in space that one of "
-                "the stations saw as free: another room, or something was moved"
+                "the stations saw as free: it is of another room, or something was moved",
+                data={"looked_through_share": self.contradiction},
             )
-        return ""
+        return None
 
 
 def worst_misfit(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> Misfit | None:
@@ -71,4 +91,4 @@ def worst_misfit(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -
             usual = (rest[0] + _SUPPOSED_PATCHES * _OFF**2) / (rest[1] + _SUPPOSED_PATCHES)
             worse = float(np.sqrt(own[0] / own[1] / usual))
             found.append(Misfit(k, float(own[2] / (own[2] + own[3])), worse))
-    return max(found, key=lambda each: (each.reason != "", each.times_worse), default=None)
+    return max(found, key=lambda each: (each.finding is not None, each.times_worse), default=None)

@@ -3,16 +3,16 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import IDENTITY, Pose
 from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
 from calib.rooms.alignment import normal_equations
 from calib.rooms.assembly import Assembly, Edges, assemble
 from calib.rooms.hypotheses import hypotheses, judged, refined
-from calib.rooms.misfits import worst_misfit
+from calib.rooms.misfits import ANOTHER_ROOM, worst_misfit
 from calib.rooms.planes import RoomPlane
 from calib.rooms.shared_planes import shared_planes
 from calib.rooms.station import StationView
@@ -21,8 +21,18 @@ from calib.rooms.surfaces import Surfaces, surfaces_of
 _MOST_ALTERNATIVES = 4
 _LEAST_OVERLAP = 0.01
 _MOST_CONTRADICTION = 0.1
-Cause = Literal["empty", "another rig", "nothing shared", "too little shared", "free space", "another shape"]
 _TOO_LITTLE = "it shares too little with the other stations to find its pose, or it shows another room"
+
+NOTHING_SEEN = FindingKind(
+    "nothing-seen",
+    "A station is left out: it shows nothing, or only the static background of a thing.",
+    "Check exposure and light. Turn a thing between stations: what is the same in all of them is taken for background.",
+)
+NO_OVERLAP = FindingKind(
+    "no-overlap",
+    "A station is left out: it shows too little of what another station shows.",
+    "Add a station between it and the others, with more than a bare wall in it.",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +88,12 @@ class Pair:
 
 @dataclass(frozen=True)
 class UnregisteredStation:
-    """A station that belongs to no group, and why: what shows it, and as a sentence."""
+    """A station or view that belongs to no group."""
 
     station: int
-    cause: Cause
-    reason: str
+    """Its number."""
+    finding: Finding
+    """Why; the message is a clause about it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +105,13 @@ class Registration:
     left_out: tuple[UnregisteredStation, ...]
 
 
-def register(stations: Sequence[StationView], of_another_rig: Mapping[int, str] | None = None) -> Registration:
+def register(stations: Sequence[StationView], of_another_rig: Mapping[int, Finding] | None = None) -> Registration:
     """Register stations of one rig, whose lengths have one unit, in any order.
 
-    `of_another_rig`: stations known not to belong, by number, with the reason: such a station may nearly fit another,
+    `of_another_rig`: stations known not to belong, by number, and why: such a station may nearly fit another,
     and would draw it away from the others.
     """
-    reasons = {k: UnregisteredStation(k, "another rig", why) for k, why in (of_another_rig or {}).items()}
+    reasons = {k: UnregisteredStation(k, finding) for k, finding in (of_another_rig or {}).items()}
     seen = {k: view for k, view in enumerate(stations) if k not in reasons}
     surfaces = {k: surfaces_of(view) for k, view in seen.items() if np.isfinite(view.points[..., 2]).any()}
     edges = {(i, j): hypotheses(surfaces[i], surfaces[j]) for i, j in combinations(surfaces, 2)}
@@ -112,14 +123,13 @@ def register(stations: Sequence[StationView], of_another_rig: Mapping[int, str] 
             break
         best = assemblies[0]
         if best.loose:
-            reasons.update({k: UnregisteredStation(k, "too little shared", _TOO_LITTLE) for k in best.loose})
+            reasons.update({k: UnregisteredStation(k, _outlier(NO_OVERLAP, _TOO_LITTLE)) for k in best.loose})
             left = [k for k in left if k not in best.loose]
             aside += sorted(best.loose)
             continue
         worst = worst_misfit(surfaces, best.places)
-        if worst is not None and worst.reason:
-            cause: Cause = "another shape" if worst.of_another_shape else "free space"
-            reasons[worst.station] = UnregisteredStation(worst.station, cause, worst.reason)
+        if worst is not None and worst.finding is not None:
+            reasons[worst.station] = UnregisteredStation(worst.station, worst.finding)
             left.remove(worst.station)
             aside += [] if worst.of_another_shape else [worst.station]
             continue
@@ -185,14 +195,22 @@ def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> Unregiste
         (each for pair, some in edges.items() if k in pair for each in some), key=lambda each: each.nats, default=None
     )
     if k not in surfaces:
-        return UnregisteredStation(k, "empty", "it has no points")
+        return UnregisteredStation(k, _outlier(NOTHING_SEEN, "it has no points"))
     if best is None or best.nats < NATS_OF_POSE / 2:
-        return UnregisteredStation(k, "nothing shared", "it shows nothing that another station shows")
+        return UnregisteredStation(k, _outlier(NO_OVERLAP, "it shows nothing that another station shows"))
     if best.contradiction > _MOST_CONTRADICTION:
         return UnregisteredStation(
             k,
-            "free space",
-            f"wherever its surfaces fit, {best.contradiction:.0%} of them are in space that others saw as free: "
-            "another room, something was moved, or the rig was changed",
+            Finding(
+                ANOTHER_ROOM,
+                Severity.WARNING,
+                f"wherever its surfaces fit, {best.contradiction:.0%} of them are in space that others saw as free: it "
+                "is of another room, or something was moved",
+                data={"looked_through_share": best.contradiction},
+            ),
         )
-    return UnregisteredStation(k, "too little shared", _TOO_LITTLE)
+    return UnregisteredStation(k, _outlier(NO_OVERLAP, _TOO_LITTLE))
+
+
+def _outlier(kind: FindingKind, clause: str) -> Finding:
+    return Finding(kind, Severity.WARNING, clause)

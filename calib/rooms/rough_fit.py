@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.finding import FindingKind
 from calib.numerics import Bools, Floats
 from calib.refusal import RefusalError
 from calib.rooms.likelihood import Fit, evaluate, minimise
@@ -20,6 +21,12 @@ _LEAST_IN_FRONT = 0.98
 _MOST_WRONG = 0.25  # share of the patches
 
 Rough = tuple[tuple[Patch, ...], RoomPrior, Fit[Room], list[Floats]]
+
+BEHIND_A_DEVICE = FindingKind(
+    "behind-a-device",
+    "With the poses of the registration, planes that were seen are behind a device.",
+    "Register the stations again; those that do not fit have to be left out.",
+)
 
 
 def fit_roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> Rough:
@@ -68,8 +75,9 @@ def in_front(room: Room, patches: Sequence[Patch]) -> tuple[Patch, ...]:
     chosen = tuple(patch for patch in patches if np.mean((patch.predict(room)[2] > 0).all(axis=1)) >= _LEAST_IN_FRONT)
     if len(chosen) < len(patches) / 2 or not chosen:
         raise RefusalError(
+            BEHIND_A_DEVICE,
             f"With the poses of the registration, {len(patches) - len(chosen)} of {len(patches)} observed planes are "
             "behind the camera or the projector.",
-            "Register the stations again; those that do not fit have to be left out.",
+            BEHIND_A_DEVICE.remedy,
         )
     return chosen

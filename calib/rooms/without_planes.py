@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.finding import FindingKind
 from calib.geometry import Matches, Pose, unproject
 from calib.numerics import Floats
 from calib.refinement import Noise, State, covariance_of, depths
@@ -20,6 +21,12 @@ from calib.rooms.room import Room
 
 _MATCH_PX = 1 / np.sqrt(12.0)  # sigma of plain Gray code, if matches do not state theirs
 _FREE_ROTATION = 1.0  # sigma of an unconstrained rotation, in radians
+
+TOO_FAR_APART = FindingKind(
+    "too-far-apart",
+    "The stations' surfaces are too far apart to be estimated together.",
+    "Take stations that overlap more.",
+)
 
 
 def estimate_without_planes(
@@ -39,8 +46,9 @@ def estimate_without_planes(
         contacts = find_contacts(loose, fit.layout, [_MATCH_PX] * len(loose), share * reach, SMOOTH)
         if not contacts:
             raise RefusalError(
+                TOO_FAR_APART,
                 "The stations' surfaces are too far apart to be estimated together.",
-                "Take stations that overlap more.",
+                TOO_FAR_APART.remedy,
             )
         fit = minimise((), fit.layout, known, (), free, joints=contacts)
     covariance = covariance_of(fit.information, free)

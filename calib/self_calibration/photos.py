@@ -45,7 +45,7 @@ from calib.refinement import (
     thin,
     twins,
 )
-from calib.refusal import PHOTOS, RefusalError
+from calib.refusal import PHOTOS, TOO_FEW_MATCHES, RefusalError
 from calib.self_calibration.rig import PrincipalPoint, Profile, SelfCalibration, sweep_trials
 
 # A photo may be a crop: its principal point may be anywhere in it.
@@ -84,7 +84,9 @@ def calibrate_photos(
         cells = [into_cells(matches) for matches in pairs]
         families = [photo_family(cells_of_pair, knowledge) for cells_of_pair in cells]
     except TooFewMatchesError as error:
-        raise RefusalError(f"The corner's faces hold too few matches: {error}.", PHOTOS.move) from error
+        raise RefusalError(
+            TOO_FEW_MATCHES, f"The corner's faces hold too few matches: {error}.", PHOTOS.move
+        ) from error
     refuse_degenerate(cells, [family.straightened for family in families], PHOTOS)
     thinned = [thin(cells_of_pair) for cells_of_pair in cells]
     sweep = sweep_one(thinned[0], families[0], sweep_trials(size), knowledge)

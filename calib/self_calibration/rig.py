@@ -44,7 +44,7 @@ from calib.refinement import (
     together,
     with_further_planes,
 )
-from calib.refusal import RIG, RefusalError
+from calib.refusal import RIG, TOO_FEW_MATCHES, RefusalError
 from calib.self_calibration.known_calibration import KnownCalibration
 
 Method = Literal["refined", "paper"]
@@ -60,6 +60,11 @@ PAPER_METHOD = FindingKind(
     "paper-method",
     "The paper's method models neither lens distortion nor uncertainty; it is meant for comparison.",
     "Use 'method: refined'.",
+)
+PAPER_FAILED = FindingKind(
+    "paper-failed",
+    "The paper's objective has no minimum, or its transfer between the devices does not close.",
+    "Use 'method: refined', or show all three faces large and at different slants to both devices.",
 )
 WITH_BOARDS = FindingKind(
     "with-boards",
@@ -221,7 +226,7 @@ def _knowing(knowledge: Knowledge, known: KnownCalibration) -> Knowledge:
 
 
 def _too_few(error: TooFewMatchesError) -> RefusalError:
-    return RefusalError(f"The corner's faces hold too few matches: {error}.", RIG.move)
+    return RefusalError(TOO_FEW_MATCHES, f"The corner's faces hold too few matches: {error}.", RIG.move)
 
 
 def paper_trials(camera_size: tuple[int, int]) -> Floats:
@@ -250,12 +255,16 @@ def _by_paper(
     low, high = solution.focal_px[1], solution.focal_px[-2]
     if not low < solution.best_focal_px < high:
         raise RefusalError(
-            f"The objective has no minimum for camera focal lengths between {low:.0f} and {high:.0f} px.", RIG.move
+            PAPER_FAILED,
+            f"The objective has no minimum for camera focal lengths between {low:.0f} and {high:.0f} px.",
+            RIG.move,
         )
     lowest = float(np.min(solution.objective))
     if lowest > _CLOSED_CYCLE * solution.best_focal_px:
         raise RefusalError(
-            f"The transfer between the devices does not close: the objective's minimum is {lowest:.0f} px.", RIG.move
+            PAPER_FAILED,
+            f"The transfer between the devices does not close: the objective's minimum is {lowest:.0f} px.",
+            RIG.move,
         )
     best = solution.best
     baseline = float(np.linalg.norm(best.translation[0]))

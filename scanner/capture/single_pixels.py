@@ -17,6 +17,7 @@ from scanner.capture.stream import refuse_another_size
 from scanner.patterns import Axis
 
 LINES_KEY = "lines_of_one_pixel_keep"
+
 CHANGED_SHAPE = FindingKind(
     "changed-shape",
     "The projector does not show single pixels unchanged: it scales its picture, changes its shape, or lets pixels "

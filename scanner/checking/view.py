@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import FURTHER_CAPTURE, USEFUL_SIGMA
-from calib.finding import of_kinds
+from calib.finding import FindingKind, of_kinds
 from calib.numerics import Bools, Floats
 from calib.refusal import RIG, RefusalError
 from calib.self_calibration import SelfCalibration
@@ -22,6 +22,7 @@ from scanner.pipeline import decode
 from scanner.quantities import relative_focal_sigmas
 from scanner.reconstruction import label, solve
 from scanner.results import Decoded
+from scanner.shown_text import capitalised
 from scanner.ui import Progress
 
 _QUICK: PresetName = "quick"
@@ -39,6 +40,12 @@ _OFF_CENTRE = 0.05
 _COARSE = Preset("gray", cell=16, inverses=True, periods=(32.7,), shifts=4)
 _UNREADABLE = "Correct what the lines above say about light and focus, keep the scene still, and check again."
 _MIRRORED = "Switch off rear projection, or ceiling mount, in its menu; do not photograph its picture in a mirror."
+
+CHECK_FAILED = FindingKind(
+    "check-failed",
+    "A scan with this view, light or focus would fail.",
+    "Correct what the lines of scan check say.",
+)
 
 
 @dataclass(frozen=True)
@@ -228,4 +235,4 @@ def nothing_lit() -> CheckRow:
 
 def refusal_of(row: CheckRow) -> RefusalError:
     """A failed row as the reason why a scan would be refused."""
-    return RefusalError(f"{row.finding[:1].upper()}{row.finding[1:].rstrip('.')}.", row.advice)
+    return RefusalError(CHECK_FAILED, f"{capitalised(row.finding).rstrip('.')}.", row.advice)

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from calib.finding import FindingKind
 from calib.numerics import Bools, Image, grey
 from calib.refusal import RefusalError
 from hw.rig import Rig
@@ -17,6 +18,12 @@ _ROUNDING = 1 / 12
 # Larger squared differences are left out: 3.5 standard deviations, which removes 0.2 % of a normal distribution.
 _MOST_SIGMAS = 3.5
 _LEAST_LIT = 500
+
+NO_LIGHT = FindingKind(
+    "no-light",
+    "The camera sees next to nothing of the projector's light.",
+    "Point both at the same thing; check lens cap, exposure and focus (scan check), and that the projector is on.",
+)
 
 
 @dataclass(frozen=True)
@@ -42,6 +49,7 @@ def look(rig: Rig, config: Config) -> FirstLook:
     lit = light.well_lit
     if np.count_nonzero(lit) < _LEAST_LIT:
         raise RefusalError(
+            NO_LIGHT,
             "The camera sees next to nothing of the projector's light.",
             "Point both at the same thing, and check exposure and focus with scan check.",
         )

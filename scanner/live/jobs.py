@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
 
+from calib.finding import FindingKind
 from calib.geometry import Calibration
 from calib.refusal import RefusalError
 from hw.ahead import in_background
@@ -31,6 +32,12 @@ from scanner.ui import SILENT, Progress, Terminal
 
 # Rounds without a usable cloud after which an unattended run gives up.
 _PATIENCE = 100
+
+NO_CLOUD = FindingKind(
+    "no-cloud",
+    "The last rounds of live clouds gave none.",
+    "Check exposure, light and synchronisation with scan check, and hold the rig still.",
+)
 
 
 class Watcher:
@@ -187,9 +194,10 @@ class Keeper:
             self.useless += 1
             if self.wishes.number is not None and self.useless == _PATIENCE:
                 raise RefusalError(
+                    NO_CLOUD,
                     f"The last {_PATIENCE} rounds gave no cloud: "
                     + ("the fringes are not visible." if cloud else "their frames contradict each other."),
-                    "Check exposure, light and synchronisation with scan check, and hold the rig still.",
+                    NO_CLOUD.remedy,
                 )
         else:
             self.wishes.now.clear()

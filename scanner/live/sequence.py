@@ -10,6 +10,7 @@ from math import pi, sqrt
 
 import numpy as np
 
+from calib.finding import FindingKind
 from calib.geometry import Calibration
 from calib.numerics import Floats, Image
 from calib.refusal import RefusalError
@@ -29,6 +30,12 @@ _LEAST_USABLE = 100  # pixels
 _GRID = 24
 _FARTHEST = 1e4  # in baselines
 _LEAST_SHIFT = 0.05  # share of the length of an epipolar line
+
+NO_DEPTH = FindingKind(
+    "no-depth",
+    "With the given calibration, depth hardly changes the projector's coordinates.",
+    "Camera and projector have to stand apart.",
+)
 
 
 @dataclass(frozen=True)
@@ -73,8 +80,9 @@ def widest_sequence(calibration: Calibration, depths: tuple[float, float] | None
     axis = int(np.argmax(shifts))
     if not shifts[axis] > _LEAST_SHIFT:
         raise RefusalError(
+            NO_DEPTH,
             "With this calibration, depth hardly changes the projector's coordinates.",
-            "Camera and projector have to stand apart.",
+            NO_DEPTH.remedy,
         )
     long_px = max(_MARGIN * longest[axis] + 2, 4 * _LEAST_PERIOD_PX)
     ends = _ends(camera.size.pixels.reshape(-1, 2), axis, calibration, depths)

@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 
 from calib.diagnostics import Budget, LinearFit, Spread, SystematicErrors, footprint_offsets, spread_of_fit, stacked
+from calib.finding import FindingKind
 from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats, Ints, blocks, robust_sigma
 from calib.pointcloud import (
@@ -35,6 +36,12 @@ _ALIKE_PX, _ALIKE_OF_IMAGE = 8, 0.2
 _FEWEST_POINTS = 50
 _LEAST_OF_IMAGE = 0.4
 _LARGEST_SIZE_ERROR, _LARGEST_SCATTER = 0.15, 0.1
+
+NO_SPHERE = FindingKind(
+    "no-sphere",
+    "No sphere of the stated diameter was found in the cloud, or it has too few points or another size.",
+    "Both devices must see the ball whole and large. Check the diameter (not the radius) and the scale of the result.",
+)
 
 
 def measure_spheres(
@@ -163,6 +170,7 @@ def _refuse_few_points(scan: FinishedScan, on: Bools, density_px: float, centre:
     whole = density_px * np.pi * (image_px * np.sin(np.radians(_FARTHEST_FROM_FACING_DEG))) ** 2
     if np.count_nonzero(on) < max(_FEWEST_POINTS, _LEAST_OF_IMAGE * whole):
         raise NoMeasurementError(
+            NO_SPHERE,
             f"A sphere was found, but it has {np.count_nonzero(on)} points only, in an image of {2 * image_px:.0f} "
             "pixels across.",
             "Bring the ball closer, put it where both camera and projector see it whole, and scan again.",
@@ -175,6 +183,7 @@ def _refuse_no_sphere(scan: FinishedScan, sphere: Sphere, radius: float) -> None
     if size_error > _LARGEST_SIZE_ERROR or scatter > _LARGEST_SCATTER or not np.isfinite(sphere.radius_sigma):
         unit = shown_unit(scan.unit)
         raise NoMeasurementError(
+            NO_SPHERE,
             f"The best candidate for a sphere of {unit.length(2 * radius)} has a diameter of "
             f"{unit.length(2 * sphere.radius)}, and its points scatter by {percent(scatter)} of the radius.",
             "Check the diameter and the scale of the result.",
@@ -185,6 +194,7 @@ def _not_found(scan: FinishedScan, diameter: float) -> NoMeasurementError:
     unit = shown_unit(scan.unit)
     largest_px = 2 * _image_radius(scan, np.percentile(scan.points, 1, axis=0), diameter / 2)
     return NoMeasurementError(
+        NO_SPHERE,
         f"No sphere with a diameter of {unit.length(diameter)} was found in the cloud, where it would be up to "
         f"{largest_px:.0f} pixels across.",
         "Both devices must see it whole. Check the diameter (not the radius) and the scale of the result.",

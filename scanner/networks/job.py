@@ -45,5 +45,5 @@ def scan_network(
         verdict = verdict_on(solved)
         save_network(solved, verdict, folder, config)
         if verdict.grade == "refused":
-            raise RefusalError(verdict.headline, verdict.advice)
+            raise RefusalError.of(verdict.findings[0])
     return solved

@@ -43,5 +43,6 @@ def scan_object(
         surface = save_object(solved, folder, config, terminal, fill=fill)
         verdict = verdict_on(solved)
         if verdict.grade == "refused":
-            raise NoMeasurementError(" ".join([verdict.headline, *verdict.reasons[:1]]), verdict.advice)
+            finding, reason = verdict.findings[0], " ".join([verdict.headline, *verdict.reasons[:1]])
+            raise NoMeasurementError(finding.kind, reason, finding.advice, finding.data)
     return solved, surface

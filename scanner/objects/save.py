@@ -16,6 +16,7 @@ from scanner.results import (
     OBJECT_FILE,
     OBJECT_MESH_FILE,
     REPORT_FILE,
+    finding_entries,
     provenance,
 )
 from scanner.rooms.station_files import outlier_entries, station_entries, write_stations, write_textured
@@ -58,4 +59,5 @@ def entries_of(solved: SolvedObject, surface: ObjectSurface | None) -> dict[str,
         entries["bridged_share"] = surface.bridged
         if surface.volume is not None:
             entries["volume"], entries["volume_sigma"] = surface.volume
+    entries["findings"] = finding_entries(verdict_on(solved).findings)
     return entries | outlier_entries(solved.outlier_stations)

@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Intrinsics, Pose
 from calib.numerics import Floats
 from calib.objects import (
     FEWEST_PIXELS,
     FEWEST_TO_REST,
+    TOO_SMALL,
     JointEstimate,
     ObjectView,
     Registered,
@@ -26,7 +28,7 @@ from calib.objects import (
 )
 from calib.pointcloud import Cloud, build_cloud
 from calib.refusal import NoMeasurementError
-from calib.rooms import relative_noise
+from calib.rooms import NOTHING_SEEN, relative_noise
 from scanner.configuration import Config
 from scanner.objects.contents import SolvedObject
 from scanner.reconstruction import refuse_foreign, scaled
@@ -40,6 +42,18 @@ _NAMED = 3
 _ALL_RESTS = 0.9  # share of the visible surface
 _RESTS = 0.2  # share of the visible surface, before tables and walls are searched for in few stations
 _TURNED_DEG = 0.3  # least rotation between stations of a thing
+
+NOTHING_TURNED = FindingKind(
+    "nothing-turned",
+    "The surfaces are at the same place in all stations of a thing.",
+    "Turn the thing between stations. If it is round about the axis of the turn, stick scraps of paper to it, and put "
+    "it down elsewhere each time.",
+)
+NO_COMMON_SURFACE = FindingKind(
+    "no-common-surface",
+    "No two stations show the same part of a thing.",
+    "Turn the thing less between stations, and let it fill the picture.",
+)
 
 
 def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedObject:
@@ -57,6 +71,7 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
         views, rests = _views(clouds, captures, calibration.camera)
     if rests > _ALL_RESTS and not any(views):
         raise NoMeasurementError(
+            NOTHING_TURNED,
             f"Nothing moved: all surfaces are at the same place in the {len(captures)} stations.",
             "Turn the thing between stations. If it was turned, it is round about the axis of the turn, as balls and "
             "plates are, so that its shape does not show the angle: stick scraps of paper to it, and put it down "
@@ -68,6 +83,7 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
     members = [(k, view) for k, view in enumerate(views) if view is not None and k in registered.places]
     if len(members) < 2:
         raise NoMeasurementError(
+            NO_COMMON_SURFACE,
             f"No two stations show the same part of a thing: {outside_text(outlier_stations)}.",
             advice_on(outlier_stations),
         )
@@ -84,6 +100,7 @@ def _refuse_unturned(places: Sequence[Pose]) -> None:
     turns_deg = [np.degrees(place.angle) for place in places]
     if max(turns_deg) < _TURNED_DEG:
         raise NoMeasurementError(
+            NOTHING_TURNED,
             f"Nothing was turned between the {len(places)} stations, or the background outweighs the thing.",
             f"Turn the thing between stations, and take {FEWEST_TO_REST} or more of them: from fewer, only flat tables "
             "and walls can be separated from the thing. Or let the rig see only the thing.",
@@ -99,11 +116,12 @@ def stations_outside(captures: Sequence[Decoded], calibration: Calibration) -> t
 def _outlier_stations(registered: Registered, captures: Sequence[Decoded]) -> tuple[OutlierStation, ...]:
     found = []
     for each in registered.left_out:
-        name, matches = captures[each.view].name, len(captures[each.view].matches)
-        if each.cause == "nothing seen" and matches < FEWEST_PIXELS:
-            found.append(OutlierStation(name, "too small", f"only {matches} of its pixels measure anything"))
-        else:
-            found.append(OutlierStation(name, each.cause, each.reason))
+        name, matches = captures[each.station].name, len(captures[each.station].matches)
+        finding = each.finding
+        if finding.kind == NOTHING_SEEN and matches < FEWEST_PIXELS:
+            message = f"only {matches} of its pixels measure anything"
+            finding = Finding(TOO_SMALL, Severity.WARNING, message, data={"pixels": float(matches)})
+        found.append(OutlierStation(name, finding))
     return tuple(found)
 
 
@@ -111,7 +129,7 @@ def outside_text(outside: Sequence[OutlierStation]) -> str:
     """Each reason with its stations, of which three are named."""
     by_reason: dict[str, list[str]] = {}
     for each in outside:
-        by_reason.setdefault(each.reason, []).append(each.name)
+        by_reason.setdefault(each.finding.message, []).append(each.name)
     return "; ".join(f"{brief(names)}: {reason}" for reason, names in by_reason.items())
 
 
@@ -123,9 +141,9 @@ def brief(names: Sequence[str]) -> str:
 
 def advice_on(outside: Sequence[OutlierStation]) -> str:
     """Advice if no two stations fit together."""
-    if all(each.cause == "nothing seen" for each in outside):
+    if all(each.finding.kind == NOTHING_SEEN for each in outside):
         return "Turn the thing between stations: what is the same in all of them is taken for background."
-    if any(each.cause == "too small" for each in outside):
+    if any(each.finding.kind == TOO_SMALL for each in outside):
         return (
             "Bring the rig nearer, so that the thing fills the picture, and expose longer or spray it if it is dark or "
             "shiny."

@@ -4,45 +4,65 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity, without_kinds
+from calib.refusal import AMBIGUOUS
 from scanner.objects.contents import SolvedObject
 from scanner.quantities import shown_unit
 from scanner.results import Verdict
+from scanner.rooms import LOOSE_STATIONS
 
 _ADVICE = (
     "Make its sides different, for example with painted spots or scraps of paper, so that the pictures show how it was "
     "turned; or turn it less between stations."
 )
 
+RESTING = FindingKind(
+    "resting-surfaces",
+    "Surfaces that did not move with a thing, as its background, are left out.",
+    data=("resting_share",),
+)
+
 
 def verdict_on(solved: SolvedObject) -> Verdict:
     """The most serious finding decides."""
-    names = [station.name for station in solved.stations]
+    names, findings = [station.name for station in solved.stations], tuple(_findings(solved))
+    decisive = findings[0] if findings else None
+    if decisive is not None and decisive.kind == AMBIGUOUS:
+        headline = "The stations fit together in more than one way."
+        return Verdict("refused", headline, (decisive.message,), decisive.advice, findings, (AMBIGUOUS,))
+    reasons, kinds = tuple(_reasons(solved)), tuple(finding.kind for finding in findings)
+    if decisive is not None and decisive.kind == LOOSE_STATIONS:
+        return Verdict("refused", decisive.message, reasons, decisive.advice, findings, kinds)
+    together = f"{len(names)} stations are one thing"
+    if solved.outlier_stations:
+        outliers = ", ".join(station.name for station in solved.outlier_stations)
+        return Verdict("fair", f"{together}; left out: {outliers}.", reasons, findings=findings, kinds=kinds)
+    headline = f"{together}, and the others determine the pose of each."
+    return Verdict("good", headline, reasons, findings=findings, kinds=kinds)
+
+
+def _findings(solved: SolvedObject) -> Iterator[Finding]:
+    """The most serious first."""
     if solved.alternatives:
         doubtful = sorted({alternative.view for alternative in solved.alternatives})
         of_capture = {station.number: station.name for station in solved.stations}
         best = max(solved.alternatives, key=lambda alternative: alternative.worth)
-        return Verdict(
-            "refused",
-            "The stations fit together in more than one way.",
-            (
-                f"The rotation of {', '.join(of_capture[k] for k in doubtful)} is ambiguous, for example by "
-                f"{best.turn_deg:.0f}°: the thing looks the same from several sides, as balls do.",
-            ),
+        yield Finding(
+            AMBIGUOUS,
+            Severity.REFUSAL,
+            f"The rotation of {', '.join(of_capture[k] for k in doubtful)} is ambiguous, for example by "
+            f"{best.turn_deg:.0f}°: the thing looks the same from several sides, as balls do.",
             _ADVICE,
+            {"turn_deg": float(best.turn_deg)},
         )
     if solved.loose:
-        free = ", ".join(names[n] for n in solved.loose)
-        return Verdict(
-            "refused", f"{free} can turn or slide on the surface of the others.", tuple(_reasons(solved)), _ADVICE
-        )
-    if solved.outlier_stations:
-        outliers = ", ".join(station.name for station in solved.outlier_stations)
-        return Verdict("fair", f"{len(names)} stations are one thing; left out: {outliers}.", tuple(_reasons(solved)))
-    return Verdict(
-        "good",
-        f"{len(names)} stations are one thing, and the others determine the pose of each.",
-        tuple(_reasons(solved)),
-    )
+        free = ", ".join(solved.stations[n].name for n in solved.loose)
+        message = f"{free} can turn or slide on the surface of the others."
+        yield Finding(LOOSE_STATIONS, Severity.REFUSAL, message, _ADVICE)
+    if solved.rests > 0:
+        message = f"{solved.rests:.0%} of the visible surfaces did not move with the thing, and are left out."
+        yield Finding(RESTING, Severity.NOTE, message, data={"resting_share": float(solved.rests)})
+    yield from (outlier.warning for outlier in solved.outlier_stations)
 
 
 def _reasons(solved: SolvedObject) -> Iterator[str]:
@@ -56,10 +76,7 @@ def _reasons(solved: SolvedObject) -> Iterator[str]:
     residual = float(np.median(list(solved.residual.values())))
     pairs = "1 pair of stations" if len(solved.residual) == 1 else f"{len(solved.residual)} pairs of stations"
     yield f"{pairs} share surfaces, which are {unit.error(residual)} apart, noise included."
-    if solved.rests > 0:
-        yield f"{solved.rests:.0%} of the visible surfaces did not move with the thing, and are left out."
-    for each in solved.outlier_stations:
-        yield f"{each.name} is left out: {each.reason}."
+    yield from map(str, without_kinds(_findings(solved), AMBIGUOUS, LOOSE_STATIONS))
 
 
 def _turns(angles_deg: np.ndarray) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from calib.geometry import Matches
 from calib.numerics import Bools, Floats, Ints
 from calib.numerics import Image as Pixels
-from calib.refusal import RefusalError
+from calib.refusal import TOO_FEW_MATCHES, RefusalError
 
 _MOST_FEATURES = 8_000
 _CHUNK = 1000
@@ -76,10 +76,12 @@ def refuse_unrelated(matches: Matches, first: Features, second: Features) -> Non
     """Raise RefusalError where too few match: photos of different scenes, or with nothing to match on them."""
     if len(matches) < _FEWEST:
         raise RefusalError(
+            TOO_FEW_MATCHES,
             f"Only {len(matches)} features of the photos match, of {len(first.pixels):,} and "
             f"{len(second.pixels):,} that were found; at least {_FEWEST} are needed.",
             "Give photos of the same corner, sharp, from places not too far apart, with texture on all three faces; or "
             "matches of another program (--matches).",
+            {"matches": float(len(matches)), "needed_matches": float(_FEWEST)},
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from calib.geometry import Calibration, Matches
 from calib.numerics import Bools, Ints
 from calib.plane_segmentation import NO_PLANE, find_faces
-from calib.refusal import RefusalError
+from calib.refusal import TOO_FEW_MATCHES, RefusalError
 from calib.self_calibration import SelfCalibration, self_calibrate, self_calibrate_jointly
 from scanner.configuration import Config
 from scanner.errors import InputError
@@ -152,7 +152,9 @@ def refuse_few(matches: Matches, advice: str) -> None:
     fewest = matches.on_each_face.min()
     if fewest < _FEWEST_FOR_A_HOMOGRAPHY:
         raise RefusalError(
+            TOO_FEW_MATCHES,
             f"A face of the corner has {fewest} matches; a homography needs at least "
             f"{_FEWEST_FOR_A_HOMOGRAPHY}, and a good one thousands.",
             advice,
+            {"matches": float(fewest), "needed_matches": float(_FEWEST_FOR_A_HOMOGRAPHY)},
         )

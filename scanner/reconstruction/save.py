@@ -123,7 +123,8 @@ def _refused_for_darkness(refusal: RefusalError, captures: Sequence[Decoded]) ->
     for capture in captures:
         for dark in of_kinds(capture.decoding.findings if capture.decoding else (), TOO_DARK):
             which = f"{capture.name}: " if len(captures) > 1 else ""
-            return RefusalError(f"{which}{dark.message} What came of it: {refusal.reason}", dark.advice)
+            reason = f"{which}{dark.message} What came of it: {refusal.reason}"
+            return RefusalError(TOO_DARK, reason, dark.advice, dark.data)
     return refusal
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import SheetSize, Uncertainty, size_of_sheet
+from calib.finding import FindingKind
 from calib.geometry import Calibration
 from calib.refusal import RefusalError
 from scanner.configuration import CharucoSettings
@@ -14,6 +15,12 @@ from scanner.targets import NotFoundError, Target, detect, on_board
 
 _FEWEST_MATCHES = 300
 _MM = 1e-3
+
+NO_SHEET = FindingKind(
+    "no-sheet",
+    "The printed sheet that gives the scale was not found.",
+    "Lay the sheet flat where both devices see it whole and large, or give the scale otherwise.",
+)
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,7 @@ def scaled_by_sheet(
             missing.append(f"{capture.name}: {error}" if len(captures) > 1 else str(error))
     if not sizes:
         raise RefusalError(
+            NO_SHEET,
             f"scale.charuco: {'; '.join(missing)}.",
             "Lay the sheet flat where both devices see it whole and large, or give the scale otherwise: the matches "
             "are kept, and scan calibrate makes a result of them with another scale, or without one.",

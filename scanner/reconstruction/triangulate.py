@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.finding import FindingKind
 from calib.geometry import Size
 from calib.pointcloud import CloudStatistics, build_cloud
 from calib.refusal import RefusalError
@@ -21,6 +22,25 @@ _LARGEST_MISFIT_OF_NOISE = 2.0
 _MOST_UNCROSSED = 0.5
 _OF_CROSSINGS = (MaskReason.KEPT, MaskReason.ALONG_EPIPOLAR_LINE, MaskReason.OUTSIDE)
 _OF_ANOTHER_RIG = "Check that it belongs to this rig, and that nothing has moved since it was made."
+
+OTHER_CALIBRATION = FindingKind(
+    "other-calibration",
+    "The given calibration does not fit the capture: it is of another rig, or the rig has changed.",
+    "Give the rig's own calibration, or calibrate it again.",
+    ("miss_px",),
+)
+ALONG_EPIPOLAR_LINES = FindingKind(
+    "along-epipolar-lines",
+    "Patterns vary along one axis only, and their stripes run along the epipolar lines, which carries no depth.",
+    "Project patterns along the other axis instead, or along both.",
+)
+RAYS_MISS = FindingKind(
+    "rays-miss",
+    "Beside the faces of the corner, rays that should meet miss each other in a pattern.",
+    "The faces may be bent or not square, or a lens has more distortion than the method models: choose another corner "
+    "or view.",
+    ("miss_px", "noise_px"),
+)
 
 
 def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: Progress) -> tuple[Reconstructed, ...]:
@@ -48,11 +68,14 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
 def refuse_foreign(statistics: CloudStatistics, projector_size: Size) -> None:
     """Raise RefusalError if, by a given calibration, no rays meet, or all miss by more than lenses explain."""
     if statistics.kept == 0:
-        raise RefusalError("The calibration puts no point in front of both camera and projector.", _OF_ANOTHER_RIG)
+        reason = "The calibration puts no point in front of both camera and projector."
+        raise RefusalError(OTHER_CALIBRATION, reason, _OF_ANOTHER_RIG)
     if statistics.calibration_px > _LARGEST_MISS_OF_WIDTH * projector_size.width:
         raise RefusalError(
+            OTHER_CALIBRATION,
             f"With this calibration, rays that should meet miss by {statistics.calibration_px:.0f} projector pixels.",
             _OF_ANOTHER_RIG,
+            {"miss_px": statistics.calibration_px},
         )
 
 
@@ -65,12 +88,14 @@ def _refuse_uncrossed(decoding: Decoding) -> None:
     total = sum(counts.values())
     if counts[MaskReason.ALONG_EPIPOLAR_LINE] > _MOST_UNCROSSED * total:
         raise RefusalError(
+            ALONG_EPIPOLAR_LINES,
             f"Patterns vary along {axis} only, and their stripes run along the epipolar lines of this calibration at "
             f"{counts[MaskReason.ALONG_EPIPOLAR_LINE] / total:.0%} of the pixels, which carries no depth.",
             f"Project patterns along {'y' if axis == 'x' else 'x'} instead, or along both.",
         )
     if counts[MaskReason.OUTSIDE] > _MOST_UNCROSSED * total:
         raise RefusalError(
+            OTHER_CALIBRATION,
             f"With this calibration, {counts[MaskReason.OUTSIDE] / total:.0%} of the pixels see a stripe that their "
             "epipolar line meets only outside the projector's image, or behind a device.",
             _OF_ANOTHER_RIG,
@@ -85,8 +110,10 @@ def refuse_misfit(statistics: CloudStatistics) -> None:
     """
     if statistics.calibration_px > max(_LARGEST_MISFIT_PX, _LARGEST_MISFIT_OF_NOISE * statistics.decoder_px):
         raise RefusalError(
+            RAYS_MISS,
             f"Beside the faces, rays that should meet miss by {statistics.calibration_px:.2g} projector pixels in a "
             f"pattern, where the decoder's noise is {statistics.decoder_px:.2g}.",
             "The faces of the corner may be bent or not square, or a lens has more distortion than the method models. "
             "Look at the faces in the report, and choose another corner or view.",
+            {"miss_px": statistics.calibration_px, "noise_px": statistics.decoder_px},
         )

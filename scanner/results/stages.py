@@ -218,4 +218,4 @@ def naming(capture: Decoded, *, among: int) -> Iterator[None]:
     except RefusalError as refusal:
         if among == 1:
             raise
-        raise RefusalError(f"{capture.name}: {refusal.reason}", refusal.advice) from refusal
+        raise refusal.about(capture.name) from refusal

@@ -1,13 +1,13 @@
 """What is known of a whole room: its stations, how they belong together, and the estimate of all of it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.diagnostics import Uncertainty
+from calib.finding import Finding
 from calib.geometry import Calibration, Pose
 from calib.numerics import Floats
 from calib.pointcloud import Cloud
@@ -59,13 +59,16 @@ class Station:
 
 @dataclass(frozen=True)
 class OutlierStation:
-    """A capture that belongs to no room or thing: `cause` in a word or two for programs, `reason` as a sentence."""
+    """A capture that belongs to no room or thing."""
 
     name: str
-    cause: Literal[
-        "changed rig", "another room", "no overlap", "something moved", "nothing seen", "too small", "does not fit"
-    ]
-    reason: str
+    finding: Finding
+    """Why; the message is a clause about it."""
+
+    @property
+    def warning(self) -> Finding:
+        """The finding as a sentence that names the capture."""
+        return replace(self.finding, message=f"{self.name} is left out: {self.finding.message}.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +92,7 @@ class SolvedRoom:
     pairs: tuple[Pair, ...]
     names: tuple[str, ...]
     outlier_stations: tuple[OutlierStation, ...]
-    remarks: tuple[str, ...]
+    findings: tuple[Finding, ...]
     floor: int | None
     areas: Floats
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import Uncertainty, calibration_of
+from calib.finding import FindingKind
 from calib.geometry import Calibration, Intrinsics, Matches, Sigmas
 from calib.numerics import Bools, Floats
 from calib.refinement import SHARED, State, device_of, inverse_of
@@ -30,6 +31,12 @@ _CONTRADICTS = 5.0
 _SIGMAS_OF_CORNER = 2.0
 _FAR = _CONTRADICTS * _SIGMAS_OF_CORNER
 _HELD = 1e-12
+
+NO_STATION_WITH_CORNER = FindingKind(
+    "no-station-with-corner",
+    "No station of a room shows a corner from which the rig can be calibrated.",
+    "Let one station look into a corner of the room, as scan check advises, or give the rig's --calibration.",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +67,9 @@ def rig_from_corners(stations: Sequence[Decoded], config: Config, progress: Prog
             refusals.append(f"{capture.name}: {refusal.reason}")
     if not corners:
         raise RefusalError(
+            NO_STATION_WITH_CORNER,
             "No station shows a corner from which the rig can be calibrated. " + " ".join(refusals[:3]),
-            "Let one station look into a corner of the room, as scan check advises, or give the rig's --calibration.",
+            NO_STATION_WITH_CORNER.remedy,
         )
     return rig_of(corners, stations)
 

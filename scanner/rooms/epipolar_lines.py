@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Matches, intersect_rays
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints
 
@@ -17,6 +18,13 @@ _FEWEST_IN_A_TILE = 30
 _FAR_OFF = 3.0  # sigmas of the median tile
 _LEAST_PX = 0.03  # smooth errors of a decoder, and slight deformation of a carried rig
 _DEVIATIONS_OF_MEDIAN = 1.2533 * SIGMA_PER_MEDIAN  # standard error of a median · √N, in median deviations from it
+
+CHANGED_RIG = FindingKind(
+    "changed-rig",
+    "A station is left out: another rig, or a changed one, made it.",
+    "Camera, projector, zoom and focus have to stay as they are between stations: take it again.",
+    ("off_px", "turn_deg"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +67,7 @@ def usual_px(offsets: Sequence[LineOffsets]) -> float:
     return max(_LEAST_PX, sorted(offset.usual_px for offset in offsets)[(len(offsets) - 1) // 2])
 
 
-def of_another_rig(captures: Sequence[Matches], calibration: Calibration) -> dict[int, str]:
+def of_another_rig(captures: Sequence[Matches], calibration: Calibration) -> dict[int, Finding]:
     """Which captures another rig made than most of them, by number, and what shows it.
 
     `calibration`: of the rig, as most of the captures, or the corners that some of them show, have it.
@@ -68,7 +76,12 @@ def of_another_rig(captures: Sequence[Matches], calibration: Calibration) -> dic
     usual = usual_px(offsets)
     far = {k: offset.deviation_px(usual) for k, offset in enumerate(offsets)}
     return {
-        k: f"its matches are {px:.2g} projector px off the epipolar lines of the others' rig"
+        k: Finding(
+            CHANGED_RIG,
+            Severity.WARNING,
+            f"its matches are {px:.2g} projector px off the epipolar lines of the others' rig",
+            data={"off_px": px},
+        )
         for k, px in far.items()
         if px is not None
     }

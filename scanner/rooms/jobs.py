@@ -51,7 +51,7 @@ def scan_room(
         save_room(solved, folder, config, terminal)
         verdict = verdict_on(solved)
         if verdict.grade == "refused":
-            raise RefusalError(f"{verdict.headline} {verdict.reasons[0]}", verdict.advice)
+            raise RefusalError.of(verdict.findings[0])
     return solved
 
 
@@ -61,6 +61,7 @@ def writing_refusals(folder: Path, config: Config) -> Iterator[None]:
     try:
         yield
     except RefusalError as refusal:
-        verdict = Verdict("refused", refusal.reason, (), refusal.advice)
+        finding = refusal.finding
+        verdict = Verdict("refused", finding.message, (), finding.advice, (finding,), (finding.kind,))
         write_refusal(folder / REFUSAL_FILE, provenance(folder, config).entries({}) | verdict_entries(verdict))
         raise

@@ -126,7 +126,8 @@ def _guidance(captures: Sequence[Decoded], calibration: Calibration) -> list[str
     if newest in changed or (newest == 1 and changed):
         return [
             f"{captures[-1].name} was taken with another rig than the stations before it, and will be left out: "
-            f"{changed.get(newest) or changed[0]}. Camera, projector, zoom and focus have to stay as they are."
+            f"{(changed.get(newest) or changed[0]).message}. Camera, projector, zoom and focus have to stay as they "
+            "are."
         ]
     seen = [segment_capture(capture, calibration) for capture in captures]
     found = register([each.view for each in seen], changed)

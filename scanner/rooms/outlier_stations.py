@@ -6,14 +6,17 @@ overlap is of another one.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from calib.finding import Finding, Severity
 from calib.geometry import Calibration
 from calib.numerics import Floats
-from calib.rooms import Registration, UnregisteredStation
+from calib.rooms import ANOTHER_ROOM, NO_OVERLAP, Registration
 from scanner.results import Decoded
 from scanner.rooms.contents import OutlierStation, Station
+from scanner.rooms.epipolar_lines import CHANGED_RIG
 
 _SAMPLE = 20_000  # points per station
 _OF_ITS_VIEW = 0.5  # share of a view; the rest would be in view of others from any pose
@@ -37,7 +40,7 @@ def outlier_stations_of(
         capture = captures[k]
         all_round = unseen_deg < _OF_ITS_VIEW * _view_deg(capture, calibration)
         if k in alone:
-            outliers.append(_left_out(capture.name, alone[k], all_round))
+            outliers.append(_left_out(capture.name, alone[k].finding, all_round))
         else:
             together = ", ".join(captures[neighbour].name for neighbour in beside[k])
             outliers.append(_of_another_group(capture.name, together, all_round))
@@ -52,29 +55,21 @@ def widest_unseen_deg(stations: Sequence[Station]) -> float:
     return float(np.degrees(np.max(np.diff(np.append(angles, angles[0] + 2 * np.pi)))))
 
 
-def _left_out(name: str, outlier: UnregisteredStation, all_round: bool) -> OutlierStation:
-    if outlier.cause == "another rig":
-        return OutlierStation(name, "changed rig", f"its rig was changed: {outlier.reason}")
-    if outlier.cause == "empty":
-        return OutlierStation(name, "nothing seen", outlier.reason)
-    if outlier.cause == "free space":
-        cause, _, _ = outlier.reason.partition(":")
-        return OutlierStation(name, "another room", f"{cause}: it is of another room, or something was moved")
-    if outlier.cause == "another shape":
-        return OutlierStation(name, "something moved", outlier.reason)
-    if all_round:
-        reason = f"it shows another room: {_ALL_ROUND}, and hardly anything that it shows"
-        return OutlierStation(name, "another room", reason)
-    return OutlierStation(name, "no overlap", outlier.reason)
+def _left_out(name: str, finding: Finding, all_round: bool) -> OutlierStation:
+    if finding.kind == CHANGED_RIG:
+        return OutlierStation(name, replace(finding, message=f"its rig was changed: {finding.message}"))
+    if finding.kind == NO_OVERLAP and all_round:
+        clause = f"it shows another room: {_ALL_ROUND}, and hardly anything that it shows"
+        return OutlierStation(name, Finding(ANOTHER_ROOM, Severity.WARNING, clause))
+    return OutlierStation(name, finding)
 
 
 def _of_another_group(name: str, together: str, all_round: bool) -> OutlierStation:
     if all_round:
-        return OutlierStation(
-            name, "another room", f"it is of another room, with {together}: {_ALL_ROUND}, but not this"
-        )
-    reason = f"it is of another part, or of another room, with {together}: no common surface connects it"
-    return OutlierStation(name, "no overlap", reason)
+        clause = f"it is of another room, with {together}: {_ALL_ROUND}, but not this"
+        return OutlierStation(name, Finding(ANOTHER_ROOM, Severity.WARNING, clause))
+    clause = f"it is of another part, or of another room, with {together}: no common surface connects it"
+    return OutlierStation(name, Finding(NO_OVERLAP, Severity.WARNING, clause))
 
 
 def _some_points(station: Station) -> Floats:

@@ -14,6 +14,7 @@ from scanner.results import (
     ROOM_CLOUD_FILE,
     ROOM_FILE,
     ROOM_MESH_FILE,
+    finding_entries,
     provenance,
 )
 from scanner.rooms.blended_cloud import blended
@@ -62,6 +63,7 @@ def entries_of(room: SolvedRoom) -> dict[str, Any]:
         "planes": [_plane(room, number) for number in range(len(room.planes))],
     }
     entries |= outlier_entries(room.outlier_stations)
+    entries["findings"] = finding_entries(verdict_on(room).findings)
     if room.group.ambiguous:
         entries["alternatives"] = [
             {

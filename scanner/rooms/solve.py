@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import Uncertainty, calibration_of, sigmas_of
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Corner, Matches, Sigmas
 from calib.numerics import Floats, Ints
 from calib.pointcloud import build_cloud
@@ -34,16 +35,38 @@ from scanner.reconstruction import lenses_of, scaled, shifts_of
 from scanner.results import Decoded
 from scanner.rooms.contents import RigStart, SolvedRoom, Station
 from scanner.rooms.corner_rig import ideal_matches, ideal_rig, is_estimated, state_of
-from scanner.rooms.epipolar_lines import of_another_rig
+from scanner.rooms.epipolar_lines import CHANGED_RIG, of_another_rig
 from scanner.rooms.outlier_stations import outlier_stations_of
 from scanner.rooms.upright import moved_plane, upright
 from scanner.ui import Progress
 
 _FEWEST_ON_A_PLANE = 200
 _MOST_ROUNDS = 3
-_NO_FLOOR = "No floor was seen, so up is the top of the cameras' images."
-_BY_SURFACES = "The planes and the dense surfaces disagree about the poses: they were estimated from the surfaces alone"
+_UP_OF_IMAGES = "No floor was seen, so up is the top of the cameras' images."
+_SURFACES_ALONE = (
+    "The planes and the dense surfaces disagree about the poses: they were estimated from the surfaces alone"
+)
 _MOST_ON_FACE = 0.5  # share of a face's matches that must be on one plane for the face to be that plane
+
+NO_FLOOR = FindingKind(
+    "no-floor",
+    "No station saw the floor, so up is the top of the cameras' images.",
+    "Let a station see the floor.",
+)
+BY_SURFACES = FindingKind(
+    "by-surfaces",
+    "The planes and the dense surfaces disagree about the poses, which were estimated from the surfaces alone.",
+)
+NO_COMMON_PART = FindingKind(
+    "no-common-part",
+    "No two stations show the same part of a room.",
+    "Each station should see about a third of what the previous one saw, with more than a bare wall in it.",
+)
+SURFACES_APART = FindingKind(
+    "surfaces-apart",
+    "The surfaces of stations do not coincide, by far more than their sigmas allow.",
+    "Let nothing move between the stations; scan a thing on a turntable with scan object.",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +93,7 @@ def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, pro
     """Raises RefusalError if no two stations belong together, or if they contradict each other."""
     registered = _registered(captures, start.calibration, {}, progress)
     estimate = _estimate(registered, start, config, progress)
-    turned: dict[int, str] = {}
+    turned: dict[int, Finding] = {}
     for _ in range(_MOST_ROUNDS):
         rig = _measured(estimate, captures) if is_estimated(start) else start.calibration
         more = _turned(registered, estimate)
@@ -98,7 +121,7 @@ class _Registered:
     """All captures by one rig, which of them another one made, and which belong together."""
 
     seen: Sequence[CaptureView]
-    changed: Mapping[int, str]
+    changed: Mapping[int, Finding]
     registration: Registration
 
     @property
@@ -106,7 +129,7 @@ class _Registered:
         """Of the largest group."""
         return [self.seen[k] for group in self.registration.groups[:1] for k in group.stations]
 
-    def is_settled_by(self, measured: Calibration, turned: Mapping[int, str]) -> bool:
+    def is_settled_by(self, measured: Calibration, turned: Mapping[int, Finding]) -> bool:
         """Whether all captures of the rig belong together, also with the estimated rig."""
         changed = of_another_rig([each.decoded.matches for each in self.seen], measured)
         as_before = changed.keys() | turned.keys() == self.changed.keys()
@@ -114,7 +137,7 @@ class _Registered:
 
 
 def _registered(
-    captures: Sequence[Decoded], rig: Calibration, turned: Mapping[int, str], progress: Progress
+    captures: Sequence[Decoded], rig: Calibration, turned: Mapping[int, Finding], progress: Progress
 ) -> _Registered:
     """Register the captures without those known to be `turned`. Raises RefusalError if no two belong together."""
     seen = [segment_capture(capture, rig) for capture in progress.track(captures, len(captures), "Surfaces")]
@@ -123,24 +146,30 @@ def _registered(
         registration = register([each.view for each in seen], changed)
     if not registration.groups:
         raise RefusalError(
+            NO_COMMON_PART,
             "No two stations show the same part of a room: " + _reasons(captures, registration),
-            "Each station should see about a third of what the previous one saw, with more than a bare wall in it.",
+            NO_COMMON_PART.remedy,
         )
     return _Registered(seen, changed, registration)
 
 
-def _turned(registered: _Registered, estimate: RoomEstimate) -> dict[int, str]:
+def _turned(registered: _Registered, estimate: RoomEstimate) -> dict[int, Finding]:
     """Captures with a changed rig, by the planes that they saw; with the size of the change."""
     stations = registered.registration.groups[0].stations
     return {
-        stations[each.station]: f"by the planes that it saw, its projector was rotated by {each.turn_deg:.2g}° "
-        f"against the camera, which moves its light by {each.px:.2g} px"
+        stations[each.station]: Finding(
+            CHANGED_RIG,
+            Severity.WARNING,
+            f"by the planes that it saw, its projector was rotated by {each.turn_deg:.2g}° against the camera, which "
+            f"moves its light by {each.px:.2g} px",
+            data={"turn_deg": each.turn_deg, "off_px": each.px},
+        )
         for each in changed_extrinsics(estimate)
     }
 
 
 def _reasons(captures: Sequence[Decoded], registration: Registration) -> str:
-    return "; ".join(f"{captures[left.station].name}: {left.reason}" for left in registration.left_out) + "."
+    return "; ".join(f"{captures[left.station].name}: {left.finding.message}" for left in registration.left_out) + "."
 
 
 def _estimate(registered: _Registered, start: RigStart, config: Config, progress: Progress) -> RoomEstimate:
@@ -167,6 +196,7 @@ def _checked_against_surfaces(
         names = sorted({members[k].decoded.name for each in left for k in (each.first, each.second)})
         worst = max(left, key=lambda each: max(each.sigmas, each.apart))
         raise RefusalError(
+            SURFACES_APART,
             f"The surfaces of {', '.join(names)} do not coincide: {_apart(worst)}.",
             "Part of the scene moved between the stations: scan a thing on a turntable with "
             "scan object, or let nothing move.",
@@ -282,8 +312,8 @@ def _finished(
     )
     match_px = float(np.nanmedian([noise.match_px for noise in estimate.levels.stations]))
     captures = [each.decoded for each in registered.seen]
-    said = {_NO_FLOOR: floor is None, _BY_SURFACES: by_surfaces}
-    remarks = tuple(sentence for sentence, holds in said.items() if holds)
+    findings = [Finding(NO_FLOOR, Severity.NOTE, _UP_OF_IMAGES)] if floor is None else []
+    findings += [Finding(BY_SURFACES, Severity.NOTE, _SURFACES_ALONE)] if by_surfaces else []
     return SolvedRoom(
         calibration,
         Uncertainty(estimate.room.rig, estimate.rig_covariance, None, match_px) if is_estimated(start) else None,
@@ -296,7 +326,7 @@ def _finished(
         registration.pairs,
         tuple(each.name for each in captures),
         outlier_stations_of(registration, captures, calibration, stations),
-        remarks,
+        tuple(findings),
         floor,
         factor**2 * areas,
     )

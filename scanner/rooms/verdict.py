@@ -4,6 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
+from calib.refusal import AMBIGUOUS
 from scanner.quantities import shown_unit
 from scanner.results import Verdict
 from scanner.rooms.contents import SolvedRoom
@@ -11,46 +13,87 @@ from scanner.rooms.contents import SolvedRoom
 # Each station then has less weight, because its smooth errors are common to all.
 _MOST_ALIKE = 2.0
 
-AMBIGUOUS = "The stations fit together in more than one way"
+_MORE_THAN_ONE_WAY = "The stations fit together in more than one way."
+
+LOOSE_STATIONS = FindingKind(
+    "loose-stations",
+    "Stations can slide or turn in the room, or on the surface of a thing: what they share does not hold them.",
+    "Add a station between these and the others, from which something other than one wall is seen by both; make the "
+    "sides of a thing different.",
+)
+UNMODELLED_DISTORTION = FindingKind(
+    "unmodelled-distortion",
+    "Smooth errors are the same at all stations: the lenses have distortion that is not modelled.",
+    "Calibrate the rig with a printed board (scan board), which estimates the pixels' aspect, too, and give its result "
+    "with --calibration.",
+    ("alike_ratio",),
+)
 
 
 def verdict_on(room: SolvedRoom) -> Verdict:
     """The most serious finding decides."""
+    names, findings = [station.name for station in room.stations], tuple(_findings(room))
+    decisive = findings[0] if findings else None
+    together = f"{len(names)} stations are one room"
+    if decisive is not None and decisive.kind == AMBIGUOUS:
+        both = "Both are in room.yaml; cloud, mesh and plan are of the likelier one."
+        answers = _likelihood(room), both
+        return Verdict("refused", _MORE_THAN_ONE_WAY, answers, decisive.advice, findings, (AMBIGUOUS,))
+    reasons = tuple(_reasons(room))
+    kinds = tuple(finding.kind for finding in findings if finding.kind != UNMODELLED_DISTORTION)
+    if decisive is not None and decisive.kind == LOOSE_STATIONS:
+        return Verdict("fair", f"{together}, but {decisive.message}", reasons, decisive.advice, findings, kinds)
+    if decisive is not None and decisive.kind == UNMODELLED_DISTORTION:
+        headline = f"{together}, but the lenses have distortion that is not modelled."
+        reasons = (decisive.message, *reasons)
+        return Verdict("fair", headline, reasons, decisive.advice, findings, (*kinds, UNMODELLED_DISTORTION))
+    if room.outlier_stations:
+        outliers = ", ".join(station.name for station in room.outlier_stations)
+        return Verdict("fair", f"{together}; left out: {outliers}.", reasons, findings=findings, kinds=kinds)
+    headline = f"{together}, and the others determine the pose of each."
+    return Verdict("good", headline, reasons, findings=findings, kinds=kinds)
+
+
+def _findings(room: SolvedRoom) -> Iterator[Finding]:
+    """The most serious first."""
     names = [station.name for station in room.stations]
     if room.group.ambiguous:
-        behind = min(alternative.behind_nats for alternative in room.group.alternatives)
-        return Verdict(
-            "refused",
-            f"{AMBIGUOUS}.",
-            (
-                f"Another arrangement of the stations is only {np.exp(behind):.3g} times less likely: the room looks "
-                "the same from different places, or too little of it was seen.",
-                "Both are in room.yaml; cloud, mesh and plan are of the likelier one.",
-            ),
+        yield Finding(
+            AMBIGUOUS,
+            Severity.REFUSAL,
+            f"{_MORE_THAN_ONE_WAY} {_likelihood(room)}",
             "Put something into the room that makes its sides different, such as a box on the floor, and scan again; "
             "or add a station between two others.",
+            {"times_less_likely": _times_less_likely(room)},
         )
-    reasons = tuple(_reasons(room))
-    loose = sorted({names[direction.station] for direction in room.estimate.undetermined})
-    if loose:
-        return Verdict(
-            "fair",
-            f"{len(names)} stations are one room, but {', '.join(loose)} can slide or turn in it.",
-            reasons,
+    if loose := sorted({names[undetermined.station] for undetermined in room.estimate.undetermined}):
+        yield Finding(
+            LOOSE_STATIONS,
+            Severity.WARNING,
+            f"{', '.join(loose)} can slide or turn in it.",
             "Add a station between these and the others, from which something other than one wall is seen by both.",
         )
     if room.estimate.levels.alike > _MOST_ALIKE:
-        return Verdict(
-            "fair",
-            f"{len(names)} stations are one room, but the lenses have distortion that is not modelled.",
-            ("Smooth errors are the same at all stations, so lengths may err by more than their sigmas.", *reasons),
-            "Calibrate the rig with a printed board (scan board), which estimates the pixels' aspect, too, and give "
-            "its result with --calibration.",
+        yield Finding(
+            UNMODELLED_DISTORTION,
+            Severity.WARNING,
+            "Smooth errors are the same at all stations, so lengths may err by more than their sigmas.",
+            UNMODELLED_DISTORTION.remedy,
+            {"alike_ratio": room.estimate.levels.alike},
         )
-    if room.outlier_stations:
-        outliers = ", ".join(station.name for station in room.outlier_stations)
-        return Verdict("fair", f"{len(names)} stations are one room; left out: {outliers}.", reasons)
-    return Verdict("good", f"{len(names)} stations are one room, and the others determine the pose of each.", reasons)
+    yield from (outlier.warning for outlier in room.outlier_stations)
+    yield from room.findings
+
+
+def _times_less_likely(room: SolvedRoom) -> float:
+    return float(np.exp(min(alternative.behind_nats for alternative in room.group.alternatives)))
+
+
+def _likelihood(room: SolvedRoom) -> str:
+    return (
+        f"Another arrangement of the stations is only {_times_less_likely(room):.3g} times less likely: the room looks "
+        "the same from different places, or too little of it was seen."
+    )
 
 
 def _reasons(room: SolvedRoom) -> Iterator[str]:
@@ -73,6 +116,5 @@ def _reasons(room: SolvedRoom) -> Iterator[str]:
     if np.isfinite(residuals).any():
         residual = np.sqrt(np.nanmean(residuals**2))
         yield f"With planes shared by all stations, cells of matches are off by {residual:.3f} projector px."
-    for outlier in room.outlier_stations:
-        yield f"{outlier.name} is left out: {outlier.reason}."
-    yield from room.remarks
+    yield from (outlier.warning.message for outlier in room.outlier_stations)
+    yield from map(str, room.findings)

@@ -2,7 +2,9 @@
 
 from collections.abc import Iterable
 
-from calib.finding import Finding
+from calib.finding import Finding, FindingKind
+
+FOR_TESTS = FindingKind("for-tests", "Something was found.", "Do something.")
 
 
 def kinds_of(findings: Iterable[Finding]) -> list[str]:

@@ -16,6 +16,7 @@ from scanner.patterns import sequence_for
 from scanner.reporting import ReportInput
 from scanner.results import Decoded, Reconstructed, Refused, SelfCalibrated
 from tests.support.cloud_scene import Scene
+from tests.support.findings import FOR_TESTS
 
 SIZES = (Size(408, 342), Size(854, 480))
 DARK = Finding(TOO_DARK, Severity.WARNING, "Some frames are dark.", "Expose longer.", {"noise_ratio": 12.0})
@@ -58,6 +59,6 @@ def calibrated_report(scene: Scene) -> ReportInput:
 
 
 def refused_report(scene: Scene) -> ReportInput:
-    refusal = RefusalError("The faces are not square.", "Choose another corner.")
+    refusal = RefusalError(FOR_TESTS, "The faces are not square.", "Choose another corner.")
     matches = Matches(scene.matches.camera_px, scene.matches.projector_px)
     return ReportInput(Refused(Decoded(CaptureMetadata(*SIZES), matches, decoding_of(scene)), refusal))

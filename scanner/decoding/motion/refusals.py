@@ -13,9 +13,16 @@ from scanner.errors import InputError
 from scanner.shown_text import capitalised
 
 ADVICE = "Fasten what moved, let a projector warm up, keep away from the rig while it captures, and capture again."
+
 MOTION_CORRECTED = FindingKind(
     "motion-corrected",
     "Camera or projector moved during the capture; it was corrected, and what remains is part of the sigmas.",
+    ADVICE,
+    ("frames", "size_px"),
+)
+MOVED = FindingKind(
+    "moved",
+    "Camera or projector moved during the capture, by more than can be corrected.",
     ADVICE,
     ("frames", "size_px"),
 )
@@ -46,9 +53,11 @@ def attribute_to_motion(
             raise moved(motion) from error
         if frames := phase_jump():
             raise RefusalError(
+                MOVED,
                 f"Camera or projector moved between frames {frames[0]} and {frames[1]}, by so much that "
                 "the phase could not be unwrapped.",
                 ADVICE,
+                {"frames": frames},
             ) from error
         raise
 
@@ -91,7 +100,12 @@ def refuse_unexplained_motion(plan: SequencePlan, anomalous: Set[int], motion: M
 
 def moved(motion: MotionEstimate) -> RefusalError:
     """Return the refusal of a capture that this motion has made unusable."""
-    return RefusalError(f"{capitalised(str(motion))}.", ADVICE)
+    return RefusalError(
+        MOVED,
+        f"{capitalised(str(motion))}.",
+        ADVICE,
+        {"frames": (motion.first, motion.last), "size_px": motion.size_px},
+    )
 
 
 def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
@@ -103,9 +117,11 @@ def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
     size = f"about {abs(shift.px):.2g} projector pixels{less or ' or more'}"
     how_far = f": along {shift.axis.axis} by {size}," if shift.sure else ""
     return RefusalError(
+        MOVED,
         f"Camera or projector moved{how_far} between {plan.name(min(codes))} and {plan.name(max(fringes))}, from the "
         "codes to the fringes.",
         ADVICE,
+        {"frames": (min(codes), max(fringes)), "size_px": abs(shift.px)},
     )
 
 

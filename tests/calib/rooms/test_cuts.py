@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Pose
+from calib.rooms import SOMETHING_MOVED
 from calib.rooms.agreement import DECIDED_NATS
 from calib.rooms.alignment import settled_together
 from calib.rooms.assembly import gain_of
@@ -51,7 +52,7 @@ def test_the_middle_of_three_stations_in_a_row_is_no_outlier(scene: Scene) -> No
     surfaces, places = scene
     worst = worst_misfit(surfaces, {k: places[k] for k in (1, 2, 3)})
     assert worst is not None
-    assert worst.reason == ""
+    assert worst.finding is None
     assert 0.5 < worst.times_worse < 1.5
 
 
@@ -62,5 +63,6 @@ def test_a_changed_rig_is_the_outlier(scene: Scene) -> None:
     worst = worst_misfit(changed, settled_together(changed, places))
     assert worst is not None
     assert worst.station == 1
-    assert "the rig was changed" in worst.reason
+    assert worst.finding is not None
+    assert worst.finding.kind == SOMETHING_MOVED
     assert 2 < worst.times_worse < 10

@@ -8,7 +8,7 @@ import pytest
 from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats
 from calib.pointcloud import surface
-from calib.rooms import Registration, StationView, register, station_view
+from calib.rooms import ANOTHER_ROOM, NO_OVERLAP, NOTHING_SEEN, Registration, StationView, register, station_view
 from calib.rooms.features import feature_poses
 from calib.rooms.surfaces import surfaces_of
 from calib.synthetic import FurnishedRoom, StationCloud, moved_rig, random_furnished_room, ring, seen_from
@@ -63,8 +63,7 @@ def test_stations_are_registered_and_an_outlier_station_is_left_out(
     assert not group.ambiguous
     (left,) = with_a_stranger.left_out
     assert left.station == 1
-    assert "other" in left.reason
-    assert left.cause in ("nothing shared", "too little shared", "free space")
+    assert left.finding.kind in (NO_OVERLAP, ANOTHER_ROOM)
     stood = [scene[1][k].place for k in (1, 0, 2)]
     for found, true in zip(group.places[1:], stood[1:], strict=True):
         degrees, metres = off(found, stood[0].inverse() @ true)
@@ -136,7 +135,7 @@ def test_stations_without_points_have_no_overlap(views: list[StationView]) -> No
     assert not found.groups
     assert not found.pairs
     assert [left.station for left in found.left_out] == [0, 1]
-    assert (found.left_out[1].cause, found.left_out[1].reason) == ("empty", "it has no points")
+    assert found.left_out[1].finding.kind == NOTHING_SEEN
 
 
 def test_without_open3d_the_message_names_what_to_install(

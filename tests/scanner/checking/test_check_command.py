@@ -21,6 +21,7 @@ from scanner.commands import main
 from scanner.configuration import load_config
 from scanner.ui import Terminal
 from tests.support.check_bench import OVERRIDES, PERIOD_US, changed, rig_in
+from tests.support.findings import FOR_TESTS
 
 pytestmark = pytest.mark.xdist_group("checking")  # what the module shares is made once
 
@@ -108,7 +109,7 @@ def test_out_keeps_pictures_and_rows(path: Path, report: CheckReport, tmp_path: 
     [
         (None, 0),
         (DeviceError("camera x: gone. Check cable."), 3),
-        (RefusalError("The faces are flat.", "Turn the rig."), 4),
+        (RefusalError(FOR_TESTS, "The faces are flat.", "Turn the rig."), 4),
     ],
 )
 def test_exit_codes(

@@ -15,6 +15,7 @@ from scanner import pipeline
 from scanner.io import write_calibration
 from scanner.patterns import sequence_for, write_sequence
 from tests.support.command_line import run
+from tests.support.findings import FOR_TESTS
 from tests.support.places import ROOT
 from tests.support.small_capture import SIZE, read_listing, write_listing
 
@@ -195,7 +196,7 @@ def fail_after_two_frames(error: BaseException) -> Callable[..., object]:
         (KeyboardInterrupt(), 130, ("interrupted", "2 frames captured so far")),
         (OSError(28, "No space left on device"), 3, ("room: cannot", "No space left", "2 frames captured so far")),
         (
-            RefusalError("No corner.", "Find one."),
+            RefusalError(FOR_TESTS, "No corner.", "Find one."),
             4,
             ("no trustworthy calibration", "No corner. Find one.", "The recording is in"),
         ),

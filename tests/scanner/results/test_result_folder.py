@@ -11,6 +11,7 @@ from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.results.names import default_out
 from scanner.results.result_folder import OutputFolder, new_result
+from tests.support.findings import FOR_TESTS
 
 CONFIG = load_config(None)
 
@@ -55,7 +56,7 @@ def test_an_error_leaves_nothing_behind(tmp_path: Path, error: BaseException) ->
 def test_a_refusal_is_a_result(tmp_path: Path) -> None:
     out = tmp_path / "room"
     with pytest.raises(RefusalError) as caught:
-        fail(out, RefusalError("No corner.", "Look for one."))
+        fail(out, RefusalError(FOR_TESTS, "No corner.", "Look for one."))
     assert (out / "report.html").read_text() == "why"
     assert "RefusalError" in (out / "scan.log").read_text()
     assert str(out) in caught.value.__notes__[0]

@@ -56,9 +56,10 @@ def test_captures_by_another_rig_are_identified(two: list[TrueStation]) -> None:
         == {}
     )
     for turn_deg in ((0.3, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.3)):
-        ((number, why),) = of_another_rig([same[0], with_turned_projector(two[1], turn_deg).matches], rig).items()
+        ((number, finding),) = of_another_rig([same[0], with_turned_projector(two[1], turn_deg).matches], rig).items()
         assert number == 1
-        assert "projector px off the epipolar lines" in why
+        assert "projector px off the epipolar lines" in finding.message
+        assert 0.03 < finding.number("off_px") < 50
 
 
 def test_a_capture_without_matches_gives_no_result(two: list[TrueStation]) -> None:

@@ -6,16 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.finding import Finding, Severity
 from calib.geometry import Pose
-from calib.rooms import Group, Registration, UnregisteredStation
+from calib.rooms import ANOTHER_ROOM, NO_OVERLAP, Group, Registration, UnregisteredStation
 from scanner.capture import CaptureMetadata
 from scanner.results import Decoded, GivenMatches
+from scanner.rooms import CHANGED_RIG
 from scanner.rooms.contents import OutlierStation, Station
 from scanner.rooms.outlier_stations import outlier_stations_of, widest_unseen_deg
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
 from tests.support.whole_room import TrueStation, stations
 
-NOTHING = UnregisteredStation(0, "nothing shared", "it shows nothing that another station shows")
+NOTHING = UnregisteredStation(0, Finding(NO_OVERLAP, Severity.WARNING, "it shows nothing that another station shows"))
 
 
 @pytest.fixture(scope="module")
@@ -48,17 +50,17 @@ def all_round(example: SolvedExample) -> list[Station]:
 
 
 def test_changed_extrinsics_are_named(example: SolvedExample, other: TrueStation) -> None:
-    found = said(
-        example, decoded(other), UnregisteredStation(0, "another rig", "its matches are off the epipolar lines")
-    )
-    assert found.cause == "changed rig"
-    assert found.reason == "its rig was changed: its matches are off the epipolar lines"
+    off = Finding(CHANGED_RIG, Severity.WARNING, "its matches are off the epipolar lines", data={"off_px": 2.0})
+    found = said(example, decoded(other), UnregisteredStation(0, off))
+    assert found.finding.kind == CHANGED_RIG
+    assert found.finding.message == "its rig was changed: its matches are off the epipolar lines"
+    assert found.finding.data == {"off_px": 2.0}
 
 
 def test_a_station_without_common_surfaces_has_no_overlap(example: SolvedExample, other: TrueStation) -> None:
     found = said(example, decoded(other))
-    assert found.cause == "no overlap"
-    assert found.reason == NOTHING.reason
+    assert found.finding == NOTHING.finding
+    assert found.warning.message == "odd is left out: it shows nothing that another station shows."
 
 
 def test_after_a_full_circle_a_station_without_overlap_is_of_another_room(
@@ -67,15 +69,12 @@ def test_after_a_full_circle_a_station_without_overlap_is_of_another_room(
     assert 30 < widest_unseen_deg(example.solved.stations) < 250
     assert 0 < widest_unseen_deg(all_round(example)) < 20
     found = said(example, decoded(other), of=all_round(example))
-    assert found.cause == "another room"
+    assert found.finding.kind == ANOTHER_ROOM
 
 
 def test_free_space_violations_indicate_another_room(example: SolvedExample, other: TrueStation) -> None:
-    left = UnregisteredStation(0, "free space", "40% of them are in free space: another room, or the rig was changed")
-    found = said(example, decoded(other), left)
-    assert found.cause == "another room"
-    assert "40%" in found.reason
-    assert "rig" not in found.reason
+    seen_through = Finding(ANOTHER_ROOM, Severity.WARNING, "40% of them are in free space: it is of another room")
+    assert said(example, decoded(other), UnregisteredStation(0, seen_through)).finding == seen_through
 
 
 def test_the_members_of_another_group_are_named(example: SolvedExample, other: TrueStation) -> None:
@@ -84,5 +83,5 @@ def test_the_members_of_another_group_are_named(example: SolvedExample, other: T
     captures = [decoded(other), decoded(other)]
     registration = Registration((group, second), (), ())
     found = outlier_stations_of(registration, captures, example.solved.calibration, example.solved.stations)
-    assert [each.cause for each in found] == ["no overlap", "no overlap"]
-    assert all("with odd, odd" in each.reason for each in found)
+    assert [each.finding.kind for each in found] == [NO_OVERLAP, NO_OVERLAP]
+    assert all("with odd, odd" in each.finding.message for each in found)

@@ -8,6 +8,7 @@ from calib.refusal import RefusalError
 from scanner.rooms.contents import RigStart, SolvedRoom
 from scanner.rooms.solve import solve_room
 from scanner.ui import Terminal
+from tests.support.findings import kinds_of
 from tests.support.things import ThingStation, between, config_for, decoded, thing_stations
 
 CAMERA = (230, 192)
@@ -23,7 +24,7 @@ def test_surfaces_correct_poses_from_false_planes() -> None:
     pytest.importorskip("open3d", exc_type=ImportError)
     stations = thing_stations([0, 1], CAMERA, seed=2, step_deg=1.4, background=False)
     found = solved(stations)
-    assert any("from the surfaces alone" in remark for remark in found.remarks)
+    assert "by-surfaces" in kinds_of(found.findings)
     one, other = found.stations
     off = between(one.place, other.place).rotation @ between(stations[0].place, stations[1].place).rotation.T
     error_deg = np.degrees(Rotation.from_matrix(off).magnitude())

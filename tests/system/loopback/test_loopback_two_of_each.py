@@ -21,6 +21,7 @@ from hw.simulated import Light
 from scanner.capture import open_capture
 from scanner.commands import main
 from scanner.networks import job
+from tests.support.findings import FOR_TESTS
 from tests.support.loopback_bench import Keeper, wrong_frames
 
 pytestmark = pytest.mark.xdist_group("loopback")
@@ -77,7 +78,7 @@ def counted(device: Callable[..., Any], opened: list[str]) -> Callable[..., Any]
 
 def not_solved(*_: object) -> None:
     """What comes after the captures takes long, and is the same for captures of every kind."""
-    raise RefusalError("captured only", "")
+    raise RefusalError(FOR_TESTS, "captured only", "")
 
 
 def test_a_network_of_two_cameras_and_two_projectors(
