@@ -179,7 +179,7 @@ def judged(stage: Stage, programme: Programme, recording: Path, folder: Path) ->
     clocks, height = imported.clocks, stage.room.renderer.shape[0]
     found = f"{exposure_text(clocks)}, {1e3 * clocks.line_s * height:.1f} ms, "
     found += f"{imported.frames_per_picture:.1f} frames"
-    told = " ".join(imported.notes)
+    told = " ".join(map(str, imported.findings))
     truth, calibration = stage.room.ground_truth(), stage.room.calibration
     assert calibration is not None
     known = list(calibration.camera.principal_point_px)

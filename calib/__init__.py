@@ -9,6 +9,9 @@ from calib.deferred_imports import defer_imports
 
 if TYPE_CHECKING:
     from calib.diagnostics import Uncertainty as Uncertainty
+    from calib.finding import Finding as Finding
+    from calib.finding import FindingKind as FindingKind
+    from calib.finding import Severity as Severity
     from calib.geometry import Calibration as Calibration
     from calib.geometry import Corner as Corner
     from calib.geometry import DeviceSigmas as DeviceSigmas
@@ -34,6 +37,7 @@ __all__, __getattr__, __dir__ = defer_imports(
     __name__,
     {
         "diagnostics": "Uncertainty",
+        "finding": "Finding FindingKind Severity",
         "geometry": "Calibration Corner DeviceSigmas Intersections Intrinsics Matches Pose Sigmas intersect",
         "plane_segmentation": "Faces find_faces",
         "pointcloud": "Cloud build_cloud point_covariances",

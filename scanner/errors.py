@@ -20,6 +20,16 @@ class InputError(Exception):
     """
 
 
+class FramesError(InputError):
+    """Frames that do not show what their capture says. `problem`: what they show instead; the message adds what may be
+    the cause, and the frames.
+    """
+
+    def __init__(self, problem: str, cause: str) -> None:
+        super().__init__(f"{problem}; {cause}")
+        self.problem = problem
+
+
 class StorageError(Exception):
     """A disk that is full, may not be written, or fails. The message names the path and says what to do."""
 

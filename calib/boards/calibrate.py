@@ -1,6 +1,6 @@
 """Views of a board → a calibration with its uncertainty and what tests it, or a refusal with a reason."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +32,7 @@ from calib.boards.parameters import (
     intrinsics_of,
 )
 from calib.boards.starts import best_first, rough_levels, starts
-from calib.finding import FindingKind
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, DeviceSigmas, Sigmas, Size
 from calib.refinement import ORDINARY_LENSES, LensPrior
 from calib.refusal import RefusalError
@@ -43,6 +43,35 @@ _MOST_OUTLIERS = 0.34  # largest share of the views that are left out
 _STEPS = 20
 _SURPRISING = 1.3  # ratio of prediction errors to the expected ones
 
+OUTLIER_BOARD = FindingKind(
+    "outlier-board",
+    "A capture of a board was left out: its matches are not where the other boards predict them.",
+    "Hold the board still while it is captured, on something firm.",
+    ("off_px", "usual_px"),
+)
+POOR_CORNERS = FindingKind(
+    "poor-corners",
+    "The corners of the board were found poorly in some captures, which have less weight.",
+    "Focus the camera on the board, and light it evenly.",
+    ("usual_px",),
+)
+BENT_BOARD = FindingKind(
+    "bent-board",
+    "The board is bent, or bends otherwise in every pose; it was taken into account.",
+    "Glue the board to something flat and firm.",
+    ("bend_thousandths", "flex_thousandths"),
+)
+ENLARGED_SIGMAS = FindingKind(
+    "enlarged-sigmas",
+    "The boards predict each other worse than their residuals allow, so all sigmas were enlarged.",
+    "Make sure that nothing moves or is refocused between the captures, and that the board is flat.",
+    ("enlarged_ratio",),
+)
+UNTESTED_HALVES = FindingKind(
+    "untested-halves",
+    "There are too few boards to compare one half with the other.",
+    "Take six captures of the board or more.",
+)
 BOARDS_CONTRADICT = FindingKind(
     "boards-contradict",
     "Too many boards are elsewhere than the others predict.",
@@ -86,7 +115,7 @@ class BoardCalibration:
     enlarged: float
     left_out: tuple[OutlierView, ...]
     coverage: BoardCoverage
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def calibrate_boards(
@@ -142,7 +171,7 @@ def calibrate_boards(
         enlarged,
         left_out,
         coverage,
-        tuple(_notes(found, left_out, enlarged, tested)),
+        tuple(_findings(found, left_out, enlarged, tested)),
     )
 
 
@@ -229,32 +258,46 @@ def _device_sigmas(found: Estimate, columns: slice) -> DeviceSigmas:
     )
 
 
-def _notes(found: Estimate, left_out: Sequence[OutlierView], enlarged: float, tested: Halves | None) -> list[str]:
-    notes = [
-        f"{odd.name} was left out: its matches are {odd.error_px:.2g} projector px from where the other boards predict "
-        f"them, {odd.usual_px:.2g} px is usual. The board may have moved during that capture."
-        for odd in left_out
-    ]
+def _findings(
+    estimated: Estimate, left_out: Sequence[OutlierView], enlarged: float, tested: Halves | None
+) -> Iterator[Finding]:
+    for odd in left_out:
+        yield Finding(
+            OUTLIER_BOARD,
+            Severity.NOTE,
+            f"{odd.name} was left out: its matches are {odd.error_px:.2g} projector px from where the other boards "
+            f"predict them, {odd.usual_px:.2g} px is usual. The board may have moved during that capture.",
+            data={"off_px": odd.error_px, "usual_px": odd.usual_px},
+        )
+    usual_px = float(np.median(estimated.corner_px))
     blurred = [
         f"{view.name} ({sigma:.2g} px)"
-        for view, sigma in zip(found.views, found.corner_px, strict=True)
-        if sigma > 3 * np.median(found.corner_px)
+        for view, sigma in zip(estimated.views, estimated.corner_px, strict=True)
+        if sigma > 3 * usual_px
     ]
     if blurred:
-        notes.append(
-            f"Corners were found poorly in {', '.join(blurred)}, where {np.median(found.corner_px):.2g} px is usual: "
-            "they have less weight. The cause is blur, or uneven light on the board."
+        yield Finding(
+            POOR_CORNERS,
+            Severity.NOTE,
+            f"Corners were found poorly in {', '.join(blurred)}, where {usual_px:.2g} px is usual: they have less "
+            "weight. The cause is blur, or uneven light on the board.",
+            data={"usual_px": usual_px},
         )
-    if found.state.bend.any():
-        bend = 1000 * float(np.abs(found.state.bend[:3]).max())
-        notes.append(f"The board is bent by {bend:.2g} thousandths of half its length, which was taken into account.")
-    if found.prior.flex:
-        notes.append(f"Its bend varies between poses by about {1000 * found.prior.flex:.2g} thousandths.")
+    if estimated.state.bend.any():
+        bend = 1000 * float(np.abs(estimated.state.bend[:3]).max())
+        message = f"The board is bent by {bend:.2g} thousandths of half its length, which was taken into account."
+        yield Finding(BENT_BOARD, Severity.NOTE, message, data={"bend_thousandths": bend})
+    if estimated.prior.flex:
+        flex = 1000 * estimated.prior.flex
+        message = f"Its bend varies between poses by about {flex:.2g} thousandths."
+        yield Finding(BENT_BOARD, Severity.NOTE, message, data={"flex_thousandths": flex})
     if enlarged > 1:
-        notes.append(
-            f"All sigmas are {enlarged:.2g} times those of the residuals: the boards predict each other "
-            "worse than the residuals allow."
+        yield Finding(
+            ENLARGED_SIGMAS,
+            Severity.NOTE,
+            f"All sigmas are {enlarged:.2g} times those of the residuals: the boards predict each other worse than the "
+            "residuals allow.",
+            data={"enlarged_ratio": enlarged},
         )
     if tested is None:
-        notes.append("There are too few boards to compare one half with the other.")
-    return notes
+        yield Finding(UNTESTED_HALVES, Severity.NOTE, "There are too few boards to compare one half with the other.")

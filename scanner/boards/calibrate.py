@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.boards import FEWEST_VIEWS, Board, BoardCalibration, BoardView, calibrate_boards
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Matches, Size, TooFewMatchesError
 from calib.numerics import Image
 from calib.refinement import into_cells
@@ -24,6 +25,24 @@ from scanner.ui import Progress
 _FEWEST_MATCHES = 300
 # Plausible ranges of a board's longer side, its distance, and the baseline: values outside suggest a wrong unit.
 _PLAUSIBLE_SIDE_MM, _PLAUSIBLE_AWAY_MM, _PLAUSIBLE_BASELINE_MM = (80.0, 1500.0), (120.0, 20_000.0), (30.0, 5_000.0)
+
+NO_BOARD = FindingKind(
+    "no-board",
+    "A capture is not used, because it does not decode or does not show the board.",
+    "Light the whole board with the projector, and let the camera see all of it.",
+)
+SCALE_OF_SQUARE = FindingKind(
+    "scale-of-square",
+    "The lengths that follow from the stated size of the board's squares.",
+    data=("board_mm", "baseline_mm", "nearest_mm", "farthest_mm"),
+)
+UNLIKELY_SCALE = FindingKind(
+    "unlikely-scale",
+    "The lengths that follow from the stated size of the board's squares are unlikely. The intrinsics do not depend on "
+    "it.",
+    "Measure the square again, and mind the unit.",
+    ("board_mm", "baseline_mm", "nearest_mm", "farthest_mm"),
+)
 
 
 @dataclass(frozen=True)
@@ -59,10 +78,12 @@ class FromBoards:
     calibrated: BoardCalibration
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """What a person should know, in sentences."""
-        missing = (f"{capture.name} is not used: {capture.why}." for capture in self.missing)
-        return (*missing, *self.calibrated.notes, *_on_scale(self))
+    def findings(self) -> tuple[Finding, ...]:
+        """Those on captures without the board, on the calibration, and on its scale."""
+        missing = (
+            Finding(NO_BOARD, Severity.NOTE, f"{capture.name} is not used: {capture.why}.") for capture in self.missing
+        )
+        return (*missing, *self.calibrated.findings, _on_scale(self))
 
 
 def calibrate_captures(
@@ -152,12 +173,12 @@ def view_of(name: str, detected: Detected, matches: Matches, target: Target, siz
     return BoardView(name, detected.points, detected.pixels, cells)
 
 
-def _on_scale(result: FromBoards) -> list[str]:
-    """Note on the lengths that follow from the square's size, and whether they are plausible."""
+def _on_scale(result: FromBoards) -> Finding:
+    """The lengths that follow from the square's size, and whether they are plausible."""
     distances = [board.pose.distance for board in result.calibrated.estimate.state.boards]
     nearest, farthest, baseline = min(distances), max(distances), result.calibrated.calibration.baseline
     side, number = 2 * result.target.reach, shown_unit(UNIT).number
-    note = (
+    message = (
         f"All lengths scale with the square: with {result.target.square:g} {UNIT}, the board is {number(side)} {UNIT} "
         f"long, camera and projector are {number(baseline)} {UNIT} apart and the boards were {number(nearest)} to "
         f"{number(farthest)} {UNIT} away."
@@ -168,9 +189,11 @@ def _on_scale(result: FromBoards) -> list[str]:
         (farthest, _PLAUSIBLE_AWAY_MM),
         (baseline, _PLAUSIBLE_BASELINE_MM),
     )
-    if not all(low < length < high for length, (low, high) in plausible):
-        note += " That is unlikely: measure the square again, and mind the unit. The intrinsics do not depend on it."
-    return [note]
+    lengths = {"board_mm": side, "baseline_mm": baseline, "nearest_mm": nearest, "farthest_mm": farthest}
+    if all(low < length < high for length, (low, high) in plausible):
+        return Finding(SCALE_OF_SQUARE, Severity.NOTE, message, data=lengths)
+    message += " That is unlikely: measure the square again, and mind the unit. The intrinsics do not depend on it."
+    return Finding(UNLIKELY_SCALE, Severity.NOTE, message, data=lengths)
 
 
 def read_folders(folders: Sequence[Path]) -> list[Recording]:

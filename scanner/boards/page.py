@@ -43,7 +43,7 @@ def verdict_on(result: FromBoards) -> Verdict:
     reasons += calibrated.coverage.reasons and [f"How the boards were held: {'; '.join(calibrated.coverage.reasons)}."]
     doubtful = calibrated.halves is not None and calibrated.halves.sigmas > _SURPRISING
     if max(relative) < _MEASUREMENT_GRADE and max(rays) < _USEFUL_RAY_PX and not doubtful:
-        return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
+        return Verdict("good", "Calibrated, well enough to measure", tuple(reasons), findings=result.findings)
     if doubtful:
         return Verdict(
             "fair",
@@ -51,12 +51,14 @@ def verdict_on(result: FromBoards) -> Verdict:
             tuple(reasons),
             "Something changed between the captures, or the boards differ: make sure that nothing moves "
             "or is refocused, and that the board is flat and firm.",
+            result.findings,
         )
     return Verdict(
         "fair",
         "Calibrated, less precisely than boards can",
         tuple(reasons),
         "More captures lower the sigmas: boards at other tilts, and where the pictures are still empty.",
+        result.findings,
     )
 
 
@@ -78,8 +80,6 @@ def write_page(path: Path, result: FromBoards) -> None:
         "board.html",
         verdict=verdict_on(result),
         subtitle=f"{result.target}, squares of {result.target.square:g} mm, {len(calibrated.predictions)} captures",
-        warnings=(),
-        notes=result.notes,
         tables=rig_quantities(result.calibrated.calibration),
         rows=rows(result),
         halves=_halves(result),

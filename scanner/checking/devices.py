@@ -4,12 +4,13 @@ import logging
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
+from calib.finding import Finding, FindingKind, Severity
 from hw.errors import OverexposedError
 from hw.open_rig import open_rig
 from hw.rig import Rig
 from hw.settings import CameraRigSettings
 from hw.timing import TimedRig
-from scanner.checking.report import CheckRow, CheckState
+from scanner.checking.report import CHECKED_DEVICES, CheckRow
 from scanner.configuration import Config
 
 # Lost frames are retaken and only cost time; this many indicate a problem.
@@ -21,6 +22,12 @@ log = logging.getLogger(__name__)
 _SHORTER = 0.25
 # Shorter than the refresh period of most projectors, and so than any exposure.
 _SHORTEST_US = 10_000.0
+
+CHECKED_TRANSFER = FindingKind(
+    "check-transfer",
+    "What scan check says of how fast frames arrive, and how many had to be taken again.",
+    "Stop other work on the computer; give a network camera its own interface.",
+)
 
 
 @contextmanager
@@ -49,16 +56,23 @@ def device_rows(rig: Rig) -> Iterator[CheckRow]:
     """Return rows that describe the devices and the latency from projector to camera."""
     camera, projector = rig.camera.size, rig.projector.size
     yield CheckRow(
-        "camera", CheckState.OK, f"{rig.identity.get('camera', 'simulated')}, {camera[0]} × {camera[1]} pixels"
+        "camera",
+        Finding(
+            CHECKED_DEVICES,
+            Severity.NOTE,
+            f"{rig.identity.get('camera', 'simulated')}, {camera[0]} × {camera[1]} pixels",
+        ),
     )
     about = rig.identity.get("projector", "simulated")
-    yield CheckRow("projector", CheckState.OK, f"{about}, {projector[0]} × {projector[1]} pixels")
+    yield CheckRow(
+        "projector", Finding(CHECKED_DEVICES, Severity.NOTE, f"{about}, {projector[0]} × {projector[1]} pixels")
+    )
     refresh = "" if rig.refresh_hz is None else f", a refresh every {1e3 / rig.refresh_hz:.1f} ms"
     if isinstance(rig, TimedRig):
         light = f"light comes {1e3 * rig.latency_s:.0f} ms after a picture is sent"
     else:
         light = "light comes at once"
-    yield CheckRow("latency", CheckState.OK, light + refresh)
+    yield CheckRow("latency", Finding(CHECKED_DEVICES, Severity.NOTE, light + refresh))
 
 
 def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
@@ -68,7 +82,13 @@ def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
     taken, again = rig.tally.taken, rig.tally.retriggered
     per_frame = f"{1e3 * rig.tally.seconds_per_frame:.0f} ms per frame"
     if again <= _MANY_RETAKEN * taken:
-        yield CheckRow("transfer", CheckState.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
+        yield CheckRow(
+            "transfer",
+            Finding(CHECKED_TRANSFER, Severity.NOTE, f"{per_frame}, {again or 'none'} of {taken} taken again"),
+        )
     else:
         lost = f"{per_frame}, {again} of {taken} frames were lost at first"
-        yield CheckRow("transfer", CheckState.POOR, lost, f"{rig.lost_advice} Stop other work on this computer.")
+        yield CheckRow(
+            "transfer",
+            Finding(CHECKED_TRANSFER, Severity.WARNING, lost, f"{rig.lost_advice} Stop other work on this computer."),
+        )

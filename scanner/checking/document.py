@@ -21,7 +21,13 @@ def write_check(out: Path, report: CheckReport) -> None:
             "exposure_us": report.exposure_us,
             "response": None if report.response is None else list(report.response),
             "rows": [
-                {"name": row.name, "state": row.state.value, "finding": row.finding, "advice": row.advice}
+                {
+                    "name": row.name,
+                    "kind": row.finding.kind.name,
+                    "state": row.state.value,
+                    "finding": row.finding.message,
+                    "advice": row.finding.advice,
+                }
                 for row in report.rows
             ],
             "pictures": write_pictures(output.folder, report.pictures),

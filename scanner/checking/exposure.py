@@ -5,10 +5,11 @@ from math import floor
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import grey, robust_sigma
 from hw.rig import Rig, settable_exposure
 from scanner.checking.light import CLIPPED, Light, flicker_of, photograph_light
-from scanner.checking.report import LEAST_SHARE, CheckRow, CheckState
+from scanner.checking.report import LEAST_SHARE, CheckRow
 from scanner.decoding import MUCH_FLICKER
 
 _NAME = "exposure"
@@ -29,6 +30,12 @@ _SAME = 0.02
 # A longer exposure makes a scan of 44 frames last over a minute; aperture or gain are better.
 _LONGEST_US = 1e6
 _BY_HAND = "Set the camera's exposure by hand, in its driver's tool or its app: the program cannot."
+
+CHECKED_EXPOSURE = FindingKind(
+    "check-exposure",
+    "What scan check says of the exposure.",
+    "scan check --write sets the proposed one; otherwise change aperture, gain or distance.",
+)
 
 
 @dataclass(frozen=True)
@@ -134,25 +141,49 @@ def exposure_row(proposal: Proposal, refresh_hz: float | None, *, bracketed: boo
     first = proposal.first
     finding = _described(first)
     if first.is_dark and proposal.exposure_us is None:
-        return CheckRow(_NAME, CheckState.FAILED, finding, "Check lens cap, aperture, and that the projector is on.")
+        return CheckRow(
+            _NAME,
+            Finding(
+                CHECKED_EXPOSURE, Severity.REFUSAL, finding, "Check lens cap, aperture, and that the projector is on."
+            ),
+        )
     if not proposal.settable:
         well = not first.is_clipped and first.brightest >= LEAST_SHARE * (1 - first.headroom)
-        return CheckRow(_NAME, CheckState.OK, finding) if well else CheckRow(_NAME, CheckState.POOR, finding, _BY_HAND)
+        return (
+            CheckRow(_NAME, Finding(CHECKED_EXPOSURE, Severity.NOTE, finding))
+            if well
+            else CheckRow(_NAME, Finding(CHECKED_EXPOSURE, Severity.WARNING, finding, _BY_HAND))
+        )
     if proposal.exposure_us is None:
-        return CheckRow(_NAME, CheckState.POOR, finding, _beyond_the_camera(proposal.last))
+        return CheckRow(_NAME, Finding(CHECKED_EXPOSURE, Severity.WARNING, finding, _beyond_the_camera(proposal.last)))
     better = f"{_shown(proposal.exposure_us, refresh_hz)}: {_described(proposal.last)}"
     if bracketed:
-        return CheckRow(_NAME, CheckState.OK, f"sequence.exposures_us is used; a single one would be {better}")
+        return CheckRow(
+            _NAME,
+            Finding(CHECKED_EXPOSURE, Severity.NOTE, f"sequence.exposures_us is used; a single one would be {better}"),
+        )
     if first.is_clipped or first.is_dark or first.exposure_us < LEAST_SHARE * proposal.exposure_us:
-        return CheckRow(_NAME, CheckState.POOR, finding, f"Better {better}. --write sets it.")
+        return CheckRow(
+            _NAME, Finding(CHECKED_EXPOSURE, Severity.WARNING, finding, f"Better {better}. --write sets it.")
+        )
     if first.flicker > MUCH_FLICKER > proposal.last.flicker:
         finding = f"{_shown(first.exposure_us, refresh_hz)}, white frames differ by {100 * first.flicker:.2g} %"
-        return CheckRow(_NAME, CheckState.POOR, finding, f"Better {better}. --write sets it.")
+        return CheckRow(
+            _NAME, Finding(CHECKED_EXPOSURE, Severity.WARNING, finding, f"Better {better}. --write sets it.")
+        )
     if proposal.last.brightest < LEAST_SHARE * (1 - proposal.last.headroom) and not _is_coarse(proposal, refresh_hz):
         return CheckRow(
-            _NAME, CheckState.POOR, f"{better}", "Open the aperture or raise the gain: longer ones take too long."
+            _NAME,
+            Finding(
+                CHECKED_EXPOSURE,
+                Severity.WARNING,
+                f"{better}",
+                "Open the aperture or raise the gain: longer ones take too long.",
+            ),
         )
-    return CheckRow(_NAME, CheckState.OK, f"{_shown(first.exposure_us, refresh_hz)}, {finding}")
+    return CheckRow(
+        _NAME, Finding(CHECKED_EXPOSURE, Severity.NOTE, f"{_shown(first.exposure_us, refresh_hz)}, {finding}")
+    )
 
 
 def _is_coarse(proposal: Proposal, refresh_hz: float | None) -> bool:

@@ -5,9 +5,10 @@ from math import exp, pi
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats
 from scanner.checking.focus import BlurSamples, Lenses
-from scanner.checking.report import LEAST_AMPLITUDE, CheckRow, CheckState
+from scanner.checking.report import LEAST_AMPLITUDE, CheckRow
 from scanner.patterns import Gray, Pattern, Phase
 
 _NAME = "focus"
@@ -23,6 +24,12 @@ _WORST_SHARE = 0.1
 _MIDDLE = 1 / 6
 
 _MOVING_PIXELS = " A projector that moves its pixels to show more of them (4K enhancement) blurs too: turn that off."
+
+CHECKED_FOCUS = FindingKind(
+    "check-focus",
+    "What scan check says of the focus of both lenses.",
+    "Focus the projector on the scene, then the camera, and close the aperture.",
+)
 
 
 def finest_period_px(patterns: Sequence[Pattern]) -> float:
@@ -44,17 +51,20 @@ def focus_row(samples: BlurSamples, lenses: Lenses | None, period_px: float) -> 
     if lenses is None:
         return CheckRow(
             _NAME,
-            CheckState.FAILED if samples.lost > 0.5 else CheckState.POOR,
-            "stripes are blurred away, or too few are seen to tell",
-            "Focus the projector on the corner until single pixels are distinct on the wall, then the camera.",
+            Finding(
+                CHECKED_FOCUS,
+                Severity.REFUSAL if samples.lost > 0.5 else Severity.WARNING,
+                "stripes are blurred away, or too few are seen to tell",
+                "Focus the projector on the corner until single pixels are distinct on the wall, then the camera.",
+            ),
         )
     amplitude = amplitude_left(lenses.total_px**2, period_px)
     finding = f"{100 * amplitude:.0f} % is left of stripes of {period_px:g} px, {_split_in_words(lenses)}"
     finding += _worst_in_words(samples, period_px)
     sure = _blurred(lenses, period_px, doubted=True)
     if amplitude >= _LEAST_OF_BOTH and not sure:
-        return CheckRow(_NAME, CheckState.OK, finding)
-    return CheckRow(_NAME, CheckState.POOR, finding, _advice(sure, lenses, period_px))
+        return CheckRow(_NAME, Finding(CHECKED_FOCUS, Severity.NOTE, finding))
+    return CheckRow(_NAME, Finding(CHECKED_FOCUS, Severity.WARNING, finding, _advice(sure, lenses, period_px)))
 
 
 def _advice(sure: list[str], lenses: Lenses, period_px: float) -> str:

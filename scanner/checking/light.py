@@ -10,9 +10,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Bools, Floats, Image, grey, robust_sigma
 from hw.rig import Rig
-from scanner.checking.report import LEAST_AMPLITUDE, TOLERATED_LOSS, CheckRow, CheckState
+from scanner.checking.report import LEAST_AMPLITUDE, TOLERATED_LOSS, CheckRow
 from scanner.decoding import MUCH_FLICKER
 
 # Least signal in standard deviations, as in the decoder.
@@ -25,6 +26,22 @@ _BRIGHT_PERCENTILE = 99.0
 _MOST_GHOST = 0.01
 # JPEG and demosaicing spread clipped pixels over their neighbours' levels.
 CLIPPED = 254 / 255
+
+CHECKED_AMBIENT_LIGHT = FindingKind(
+    "check-ambient-light",
+    "What scan check says of light that is not the projector's.",
+    "Darken the room, or bring the projector closer.",
+)
+CHECKED_FLICKER = FindingKind(
+    "check-flicker",
+    "What scan check says of changes of brightness between frames.",
+    "Expose for whole refresh periods of the projector, and switch off other lamps.",
+)
+CHECKED_GHOST = FindingKind(
+    "check-ghost",
+    "What scan check says of how much of the picture before a frame still shows.",
+    "Let the camera wait longer for the projector.",
+)
 
 
 def brightest_channel(image: Image) -> Image:
@@ -113,12 +130,15 @@ def _ambient(light: Light) -> CheckRow:
     share = ambient_share(light)
     finding = f"a black picture is {100 * share:.1f} % as bright as a white one"
     if 1 - share >= LEAST_AMPLITUDE:
-        return CheckRow("ambient light", CheckState.OK, finding)
+        return CheckRow("ambient light", Finding(CHECKED_AMBIENT_LIGHT, Severity.NOTE, finding))
     return CheckRow(
         "ambient light",
-        CheckState.POOR,
-        finding,
-        "Darken the room, or use a brighter projector; then check the exposure again.",
+        Finding(
+            CHECKED_AMBIENT_LIGHT,
+            Severity.WARNING,
+            finding,
+            "Darken the room, or use a brighter projector; then check the exposure again.",
+        ),
     )
 
 
@@ -148,7 +168,7 @@ def _flicker(light: Light) -> CheckRow:
     flicker = flicker_of(light)
     finding = f"white frames differ by {100 * flicker.white:.2g} %"
     if flicker.white <= MUCH_FLICKER:
-        return CheckRow("flicker", CheckState.OK, finding)
+        return CheckRow("flicker", Finding(CHECKED_FLICKER, Severity.NOTE, finding))
     if TOLERATED_LOSS * flicker.black >= flicker.white:
         advice = "Black frames do so as well: turn off lamps on the mains, or expose for whole periods of it."
     else:
@@ -156,7 +176,7 @@ def _flicker(light: Light) -> CheckRow:
             "Black frames do not: the projector's light pulsates (colour wheel, dimmed lamp). Expose for whole refresh "
             "periods, better for several; turn off dynamic contrast and eco mode."
         )
-    return CheckRow("flicker", CheckState.POOR, finding, advice)
+    return CheckRow("flicker", Finding(CHECKED_FLICKER, Severity.WARNING, finding, advice))
 
 
 def ghost_of(light: Light) -> float:
@@ -174,13 +194,16 @@ def leaves_ghost(light: Light) -> bool:
 def _ghost(light: Light) -> CheckRow:
     finding = f"{100 * max(ghost_of(light), 0.0):.1f} % of the picture before is left in a frame"
     if not leaves_ghost(light):
-        return CheckRow("ghost", CheckState.OK, finding)
+        return CheckRow("ghost", Finding(CHECKED_GHOST, Severity.NOTE, finding))
     return CheckRow(
         "ghost",
-        CheckState.POOR,
-        finding,
-        "The panel is slow: turn off noise reduction, motion smoothing and power saving in the projector's menu, and "
-        "let it warm up; with a longer exposure less is left, and most DLP projectors leave nothing.",
+        Finding(
+            CHECKED_GHOST,
+            Severity.WARNING,
+            finding,
+            "The panel is slow: turn off noise reduction, motion smoothing and power saving in the projector's menu, "
+            "and let it warm up; with a longer exposure less is left, and most DLP projectors leave nothing.",
+        ),
     )
 
 

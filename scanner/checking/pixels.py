@@ -9,11 +9,12 @@ need not resolve the lines.
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats, grey
 from hw.rig import Rig
 from scanner.capture import lines_of_light
 from scanner.checking.light import Light, settled
-from scanner.checking.report import CheckRow, CheckState
+from scanner.checking.report import CheckRow
 from scanner.checking.response import RAMP_STEPS, Ramp
 from scanner.patterns import Axis
 
@@ -24,6 +25,12 @@ _MOST = 255.0
 # A scaled picture keeps about 55 %; a panel whose pixels share a tenth of their light, 79 %.
 _LEAST_CONTRAST, _MOST_CONTRAST = 0.7, 1.2
 _AXES: tuple[Axis, Axis] = ("x", "y")
+
+CHECKED_PIXELS = FindingKind(
+    "check-pixels",
+    "What scan check says of whether the projector shows single pixels unchanged.",
+    "Show the picture in the projector's own resolution, without keystone correction and zoom.",
+)
 
 
 def pixel_row(rig: Rig, light: Light, ramp: Ramp) -> CheckRow | None:
@@ -46,20 +53,26 @@ def row_of(contrast: Floats) -> CheckRow:
     if contrast.max() > _MOST_CONTRAST:
         return CheckRow(
             _NAME,
-            CheckState.POOR,
-            f"{finding}: the projector sharpens, or the camera's response is not linear",
-            "Turn sharpness in the projector's menu to 0 or its neutral value, and detail or edge enhancement off; set "
-            "the camera's gamma to 1.",
+            Finding(
+                CHECKED_PIXELS,
+                Severity.WARNING,
+                f"{finding}: the projector sharpens, or the camera's response is not linear",
+                "Turn sharpness in the projector's menu to 0 or its neutral value, and detail or edge enhancement off; "
+                "set the camera's gamma to 1.",
+            ),
         )
     if contrast.min() < _LEAST_CONTRAST:
         return CheckRow(
             _NAME,
-            CheckState.POOR,
-            f"{finding}: the projector scales the picture, or its pixels share their light",
-            "Send the picture in the projector's own resolution, and turn off keystone correction, digital zoom, "
-            "overscan and aspect correction in its menu; move the projector instead.",
+            Finding(
+                CHECKED_PIXELS,
+                Severity.WARNING,
+                f"{finding}: the projector scales the picture, or its pixels share their light",
+                "Send the picture in the projector's own resolution, and turn off keystone correction, digital zoom, "
+                "overscan and aspect correction in its menu; move the projector instead.",
+            ),
         )
-    return CheckRow(_NAME, CheckState.OK, finding)
+    return CheckRow(_NAME, Finding(CHECKED_PIXELS, Severity.NOTE, finding))
 
 
 def _level(step: int) -> int:

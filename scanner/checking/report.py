@@ -12,6 +12,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 
@@ -29,6 +30,12 @@ Pixels = NDArray[np.uint8]
 
 log = logging.getLogger(__name__)
 
+CHECKED_DEVICES = FindingKind(
+    "check-devices",
+    "What scan check says of the devices that were opened, or why one failed.",
+    "See to what the message names: cable, power, another program that uses the device.",
+)
+
 
 class CheckState(StrEnum):
     """The grade of one row."""
@@ -40,14 +47,22 @@ class CheckState(StrEnum):
     """A scan would fail."""
 
 
+_STATES = {Severity.NOTE: CheckState.OK, Severity.WARNING: CheckState.POOR, Severity.REFUSAL: CheckState.FAILED}
+
+
 @dataclass(frozen=True)
 class CheckRow:
-    """One checked item: its `name`, its state, the finding, and what to do (empty: nothing)."""
+    """One checked item."""
 
     name: str
-    state: CheckState
-    finding: str
-    advice: str = ""
+    """What was checked."""
+    finding: Finding
+    """What was found, and what to do about it: as a clause, if it is as it should be."""
+
+    @property
+    def state(self) -> CheckState:
+        """Its grade, by the finding's severity."""
+        return _STATES[self.finding.severity]
 
 
 OnRow = Callable[[CheckRow], None]
@@ -72,7 +87,7 @@ class CheckReport:
     def add(self, *rows: CheckRow) -> None:
         """Take rows in."""
         for row in rows:
-            log.info("%s: %s: %s %s", row.name, row.state.value, row.finding, row.advice)
+            log.info("%s: %s: %s %s", row.name, row.state.value, row.finding.message, row.finding.advice)
             self.rows.append(row)
             if self.on_row:
                 self.on_row(row)
@@ -80,7 +95,7 @@ class CheckReport:
     def fail(self, error: DeviceError) -> None:
         """A device has ended the check."""
         self.failure = error
-        self.add(CheckRow("devices", CheckState.FAILED, str(error)))
+        self.add(CheckRow("devices", Finding(CHECKED_DEVICES, Severity.REFUSAL, str(error))))
 
     @property
     def state(self) -> CheckState:
@@ -113,7 +128,8 @@ def table_of(report: CheckReport, encoding: str | None) -> Table:
     table.add_column()
     for row in report.rows:
         style = _STYLES[row.state]
-        text = escape(row.finding) + (f"\n[bold]→ {escape(row.advice)}[/bold]" if row.advice else "")
+        advice = row.finding.advice
+        text = escape(row.finding.message) + (f"\n[bold]→ {escape(advice)}[/bold]" if advice else "")
         if signs is _PLAIN_SIGNS:
             text = text.replace("→", "->")
         table.add_row(f"[{style}]{signs[row.state]} {row.state.value}[/{style}]", row.name, text)

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats, grey
 from hw.rig import Rig
 from scanner.checking.light import Light, settled
-from scanner.checking.report import CheckRow, CheckState
+from scanner.checking.report import CheckRow
 from scanner.patterns import ProjectorResponse
 
 _NAME = "response"
@@ -17,6 +18,12 @@ RAMP_STEPS = 16
 _LEAST_RISE = 1e-4
 # Share of white: a last step that adds less light is wasted.
 _FLAT = 0.005
+
+CHECKED_RESPONSE = FindingKind(
+    "check-response",
+    "What scan check says of the light of the projector's grey levels.",
+    "Switch picture modes and contrast enhancement off in the projector's menu.",
+)
 
 
 @dataclass(frozen=True)
@@ -56,10 +63,13 @@ def response_row(ramp: Ramp) -> CheckRow:
         first = round(255 * int(np.argmin(steps)) / (len(ramp.light) - 1))
         return CheckRow(
             _NAME,
-            CheckState.POOR,
-            f"above grey level {first} it becomes no brighter",
-            "Set the projector's picture mode to standard, and turn off dynamic contrast and colour enhancement; lower "
-            "its contrast if bright levels are alike, raise its brightness if dark ones are.",
+            Finding(
+                CHECKED_RESPONSE,
+                Severity.WARNING,
+                f"above grey level {first} it becomes no brighter",
+                "Set the projector's picture mode to standard, and turn off dynamic contrast and colour enhancement; "
+                "lower its contrast if bright levels are alike, raise its brightness if dark ones are.",
+            ),
         )
     response = ramp.response
     finding = f"gamma {response.gamma:.2f}"
@@ -67,6 +77,12 @@ def response_row(ramp: Ramp) -> CheckRow:
         finding += f", with up to {100 * response.off_power_law:.1f} % of white off a power law"
     if steps[-1] < _FLAT:
         return CheckRow(
-            _NAME, CheckState.POOR, f"{finding}; the brightest levels are alike", "Lower its contrast setting."
+            _NAME,
+            Finding(
+                CHECKED_RESPONSE,
+                Severity.WARNING,
+                f"{finding}; the brightest levels are alike",
+                "Lower its contrast setting.",
+            ),
         )
-    return CheckRow(_NAME, CheckState.OK, finding)
+    return CheckRow(_NAME, Finding(CHECKED_RESPONSE, Severity.NOTE, finding))

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats, Ints, grey
 from hw.rig import Frame, Rig
 from scanner.checking.light import Light, photograph_light
-from scanner.checking.report import CheckRow, CheckState
+from scanner.checking.report import CheckRow
 from scanner.decoding.motion import RigidFit, fit_motion, moved_device, shifts_by_motion
 from scanner.patterns import Axis, Pattern, Phase, phase_sequence
 from scanner.quantities import plain
@@ -33,6 +34,12 @@ _MOST_PX = 0.1
 _SURE = 5.0
 # A warm lamp is stable to a few thousandths.
 _MOST_PERCENT = 0.5
+
+CHECKED_STEADINESS = FindingKind(
+    "check-steadiness",
+    "What scan check says of drift of the devices and of the light.",
+    "Let the projector warm up, and fasten both devices.",
+)
 
 
 @dataclass(frozen=True)
@@ -79,7 +86,9 @@ def row_of(fit: RigidFit, percent: float, seconds: float) -> CheckRow:
         advice.append("Fasten what moves, or let it settle: a capture tolerates a tenth of a pixel.")
     if abs(percent) > _MOST_PERCENT:
         advice.append("The projector is not warm yet: give it a quarter of an hour with a picture on, and check again.")
-    return CheckRow(_NAME, CheckState.POOR if advice else CheckState.OK, finding, " ".join(advice))
+    return CheckRow(
+        _NAME, Finding(CHECKED_STEADINESS, Severity.WARNING if advice else Severity.NOTE, finding, " ".join(advice))
+    )
 
 
 def _moved(before: InitialState, now: Levels, projector_px: Floats, projector_size: tuple[int, int]) -> RigidFit | None:

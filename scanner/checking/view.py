@@ -6,17 +6,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import FURTHER_CAPTURE, USEFUL_SIGMA
-from calib.finding import FindingKind, of_kinds
+from calib.finding import Finding, FindingKind, Severity, of_kinds
 from calib.numerics import Bools, Floats
 from calib.refusal import RIG, RefusalError
 from calib.self_calibration import SelfCalibration
 from hw.rig import Rig
 from scanner.capture import capture
 from scanner.checking.fringes import FringeMeter
-from scanner.checking.report import LEAST_SHARE, CheckRow, CheckState
+from scanner.checking.report import LEAST_SHARE, CheckRow
 from scanner.configuration import Config
 from scanner.decoding import Decoding, MaskReason, MirroredError
-from scanner.errors import InputError
+from scanner.errors import FramesError, InputError
 from scanner.patterns import PRESETS, Pattern, Preset, PresetName
 from scanner.pipeline import decode
 from scanner.quantities import relative_focal_sigmas
@@ -41,10 +41,15 @@ _COARSE = Preset("gray", cell=16, inverses=True, periods=(32.7,), shifts=4)
 _UNREADABLE = "Correct what the lines above say about light and focus, keep the scene still, and check again."
 _MIRRORED = "Switch off rear projection, or ceiling mount, in its menu; do not photograph its picture in a mirror."
 
-CHECK_FAILED = FindingKind(
-    "check-failed",
-    "A scan with this view, light or focus would fail.",
-    "Correct what the lines of scan check say.",
+CHECKED_COVERAGE = FindingKind(
+    "check-coverage",
+    "What scan check says of how much of both pictures overlaps.",
+    "Turn the devices, or change distance or lens, as the message says.",
+)
+CHECKED_VIEW = FindingKind(
+    "check-view",
+    "What scan check says of how well this view will calibrate the rig, or why it would be refused.",
+    "Move the rig as the message says.",
 )
 
 
@@ -104,7 +109,7 @@ def _take(
     except MirroredError:
         return Capture(None, "the projector mirrors its picture", _MIRRORED)
     except InputError as error:
-        problem = str(error).partition(";")[0]  # the rest is about files
+        problem = error.problem if isinstance(error, FramesError) else error
         return Capture(None, f"the frames do not decode: {problem}", _UNREADABLE)
 
 
@@ -169,13 +174,20 @@ def coverage_row(coverage: PictureCoverage, decoding: Decoding) -> CheckRow:
     )
     if decoded_share(decoding) < LEAST_SHARE:
         finding += f"; only {100 * decoded_share(decoding):.0f} % of the lit pixels decode"
-        return CheckRow(_COVERAGE, CheckState.POOR, finding, "Correct what the other lines say about light and focus.")
+        return CheckRow(
+            _COVERAGE,
+            Finding(
+                CHECKED_COVERAGE, Severity.WARNING, finding, "Correct what the other lines say about light and focus."
+            ),
+        )
     advice = []
     if coverage.camera < _LEAST_OF_CAMERA:
         advice.append(_turned("the camera", coverage.camera_middle, "Move the camera closer, or use a longer lens"))
     if coverage.projector < LEAST_SHARE:
         advice.append(_turned("the projector", coverage.projector_middle, "Move the camera back, or use a wider lens"))
-    return CheckRow(_COVERAGE, CheckState.POOR if advice else CheckState.OK, finding, " ".join(advice))
+    return CheckRow(
+        _COVERAGE, Finding(CHECKED_COVERAGE, Severity.WARNING if advice else Severity.NOTE, finding, " ".join(advice))
+    )
 
 
 def _turned(device: str, middle: tuple[float, float], otherwise: str) -> str:
@@ -205,34 +217,40 @@ def view_row(
     `as_configured`: `seen` is not the quick capture, which decoded too little.
     """
     if capture.decoded is None:
-        row = CheckRow(_VIEW, CheckState.FAILED, capture.problem, capture.advice)
+        row = CheckRow(_VIEW, Finding(CHECKED_VIEW, Severity.REFUSAL, capture.problem, capture.advice))
         return row, refusal_of(row)
     try:
         solution = predict(capture.decoded, config, earlier)
     except RefusalError as refusal:
-        return CheckRow(_VIEW, CheckState.FAILED, refusal.reason, refusal.advice), refusal
+        return CheckRow(_VIEW, Finding(CHECKED_VIEW, Severity.REFUSAL, refusal.reason, refusal.advice)), refusal
     sigmas = relative_focal_sigmas(solution.calibration)
     described = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
     finding = f"focal lengths will be known to about {described}"
     if max(sigmas.values()) > _RISKY_SIGMA:
         further = of_kinds(solution.findings, FURTHER_CAPTURE)
-        return CheckRow(_VIEW, CheckState.POOR, finding, " ".join(map(str, further)) or RIG.move), None
+        return CheckRow(
+            _VIEW, Finding(CHECKED_VIEW, Severity.WARNING, finding, " ".join(map(str, further)) or RIG.move)
+        ), None
     if as_configured:
         finding += f"; the {_QUICK} sequence is not sufficient"
-        return CheckRow(_VIEW, CheckState.POOR, finding, _UNREADABLE), None
-    return CheckRow(_VIEW, CheckState.OK, finding), None
+        return CheckRow(_VIEW, Finding(CHECKED_VIEW, Severity.WARNING, finding, _UNREADABLE)), None
+    return CheckRow(_VIEW, Finding(CHECKED_VIEW, Severity.NOTE, finding)), None
 
 
 def nothing_lit() -> CheckRow:
     """Whether a white picture looks like a black one."""
     return CheckRow(
         _COVERAGE,
-        CheckState.FAILED,
-        "the camera sees no difference between a white and a black picture",
-        "Point it at the projector's light; check lens cap, aperture and exposure, and that the projector is on.",
+        Finding(
+            CHECKED_COVERAGE,
+            Severity.REFUSAL,
+            "the camera sees no difference between a white and a black picture",
+            "Point it at the projector's light; check lens cap, aperture and exposure, and that the projector is on.",
+        ),
     )
 
 
 def refusal_of(row: CheckRow) -> RefusalError:
     """A failed row as the reason why a scan would be refused."""
-    return RefusalError(CHECK_FAILED, f"{capitalised(row.finding).rstrip('.')}.", row.advice)
+    reason = f"{capitalised(row.finding.message).rstrip('.')}."
+    return RefusalError(row.finding.kind, reason, row.finding.advice, row.finding.data)

@@ -10,10 +10,10 @@ from scanner.measuring import (
     ACCEPTANCE_PAGE,
     Acceptance,
     Error,
+    acceptance_findings,
     errors_of,
     parse_ball_bar,
     read_scene,
-    remarks,
     summary_table,
     write_acceptance,
     write_acceptance_page,
@@ -33,8 +33,8 @@ def run(args: Namespace) -> None:
         write_acceptance(document, acceptance)
         write_acceptance_page(page, acceptance)
     terminal.show(*dict.fromkeys(acceptance.sentences), summary_table(acceptance))
-    for remark in remarks(acceptance):
-        terminal.show(f"Note: {remark}")
+    for finding in acceptance_findings(acceptance):
+        terminal.show(f"Note: {finding}")
     terminal.show(
         f"Written: {out} ({ACCEPTANCE_PAGE}, {ACCEPTANCE_FILE})",
         f"→ Open {out / ACCEPTANCE_PAGE} in a browser: the errors of each place, to be printed.",

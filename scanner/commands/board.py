@@ -43,8 +43,8 @@ def run(args: Namespace) -> None:
     out: Path = args.out or default_out("board", overwrite=args.overwrite)
     result = _live(args, target, out, terminal) if args.config else _from_captures(args, target, out, terminal)
     terminal.show(calibration_table(result.calibrated.calibration), summary(result))
-    for note in result.notes:
-        terminal.show(f"Note: {note}")
+    for finding in result.findings:
+        terminal.show(f"Note: {finding}")
     terminal.show(f"Result: {out} ({REPORT_FILE}, {CALIBRATION_FILE})")
     use = f"scan replay CAPTURE --calibration {out / CALIBRATION_FILE} reconstructs with it."
     terminal.show(*conclusion(verdict_on(result), use))

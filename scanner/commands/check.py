@@ -30,7 +30,7 @@ def run(args: Namespace) -> None:
         terminal.show(_write(args.config, report))
     if report.failure:
         raise report.failure
-    first = "first follow the arrows, then " if any(row.advice for row in report.rows) else ""
+    first = "first follow the arrows, then " if any(row.finding.advice for row in report.rows) else ""
     terminal.show(f"→ {first}scan --config {args.config}")
 
 

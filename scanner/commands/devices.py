@@ -4,6 +4,7 @@ from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from calib.finding import Finding, FindingKind, Severity
 from hw.backends import BACKENDS, Backend
 from hw.cameras import CameraInfo
 from hw.errors import DeviceError
@@ -11,6 +12,12 @@ from hw.projector import Screen, list_screens
 from scanner.ui import Terminal
 
 _ADDRESSES = "network streams cannot be listed: rig: {backend: opencv, camera: http://…} takes an address"
+
+SEARCH_FAILED = FindingKind(
+    "search-failed",
+    "Cameras of a kind, or screens, could not be searched for.",
+    "See what the message says about its library, and close other programs that use the devices.",
+)
 
 
 @dataclass(frozen=True)
@@ -21,7 +28,7 @@ class Found:
 
     described: dict[str, list[str]]
     lines: list[str]
-    problems: list[str]
+    problems: list[Finding]
     nothing: bool
 
     def paragraphs(self) -> Iterator[str]:
@@ -36,7 +43,9 @@ def run(args: Namespace) -> None:
     devices = find_devices(terminal)
     terminal.show(*devices.paragraphs())
     if devices.nothing:
-        raise DeviceError("neither cameras nor screens were found: " + "; ".join(dict.fromkeys(devices.problems)))
+        raise DeviceError(
+            "neither cameras nor screens were found: " + "; ".join(dict.fromkeys(map(str, devices.problems)))
+        )
     if devices.lines:
         terminal.show("\nTo paste into a configuration:\n", "\n".join(devices.lines))
         terminal.note("→ scan new my-rig.yaml --rig NAME writes a whole configuration with such lines in it.")
@@ -46,22 +55,22 @@ def run(args: Namespace) -> None:
 
 def find_devices(terminal: Terminal, backends: Sequence[Backend] = BACKENDS) -> Found:
     """Look for cameras that these backends reach, and for screens."""
-    problems: list[str] = []
+    problems: list[Finding] = []
     cameras: list[CameraInfo] = []
     for backend in backends:
         try:
             with terminal.step(f"Looking for cameras ({backend.name})"):
                 cameras += backend.load().list_cameras()
         except DeviceError as error:
-            problems.append(str(error))
-    described = {"Cameras": [*(_lines_of(cameras) or ["none found"]), *problems, _ADDRESSES]}
+            problems.append(Finding(SEARCH_FAILED, Severity.WARNING, str(error)))
+    described = {"Cameras": [*(_lines_of(cameras) or ["none found"]), *map(str, problems), _ADDRESSES]}
     screens: list[CameraInfo] | None = None
     try:
         with terminal.step("Looking for screens"):
             screens = [_screen(screen) for screen in list_screens()]
         described["Screens"] = _lines_of(screens)
     except DeviceError as error:
-        problems.append(str(error))
+        problems.append(Finding(SEARCH_FAILED, Severity.WARNING, str(error)))
         described["Screens"] = [str(error)]
     # The desktop is usually on the first screen, the projector on the last.
     lines = list(_to_paste([camera for camera in cameras if camera.rig], (screens or [])[::-1]))

@@ -27,6 +27,6 @@ def run(args: Namespace) -> None:
     terminal.show(
         f"{len(programme.patterns)} pictures of {imported.frames_per_picture:.1f} frames each, and capture.yaml, "
         f"are in {args.out}; exposure {exposure_text(clocks)}, {loops} loop{'s' * (loops > 1)}",
-        *imported.notes,
+        *map(str, imported.findings),
         f"→ scan replay {args.out} reconstructs it.",
     )

@@ -94,9 +94,11 @@ def rows_text(rows: list[CheckRow]) -> str:
     """The check's findings, and what to do about them."""
     lines = []
     for row in rows:
-        lines.append(f"- **{_SIGNS[row.state]} {escaped(row.name)}**, {row.state.value}: {escaped(row.finding)}")
-        if row.advice:
-            lines.append(f"  → {escaped(row.advice)}")
+        lines.append(
+            f"- **{_SIGNS[row.state]} {escaped(row.name)}**, {row.state.value}: {escaped(row.finding.message)}"
+        )
+        if row.finding.advice:
+            lines.append(f"  → {escaped(row.finding.advice)}")
     return "\n".join(lines)
 
 

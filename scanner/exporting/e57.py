@@ -17,7 +17,7 @@ from calib.numerics import Floats
 from hw.optional_parts import E57
 from scanner.errors import InputError
 from scanner.exporting.formats import ExportRequest
-from scanner.exporting.units import in_metres
+from scanner.exporting.units import in_metres, noted
 from scanner.io import new_file
 from scanner.results import FinishedScan, PlacedScan, read_finished_room, read_finished_scan
 
@@ -33,11 +33,11 @@ def export(request: ExportRequest) -> list[str]:
         placed, unit = [PlacedScan("roomscan", request.result, Pose(_Z_UP_FROM_CAMERA, np.zeros(3)), scan)], scan.unit
     else:
         placed, unit = list(room.stations), room.unit
-    metres, remarks = in_metres(unit)
+    metres, findings = in_metres(unit)
     with new_file(request.out, overwrite=request.overwrite) as path:
         points = write_e57(path, placed, metres)
     scans = f" of {len(placed)} stations, each a scan of its own" if room else ""
-    return [f"{points:,} points{scans} in metres", *remarks]
+    return [f"{points:,} points{scans} in metres", *noted(findings)]
 
 
 def refuse_without_pye57() -> None:

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.finding import Finding
 from scanner.errors import InputError
 from scanner.exporting.formats import ExportRequest
 from scanner.exporting.glb import write_glb
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh, build_mesh
-from scanner.exporting.units import in_metres
+from scanner.exporting.units import in_metres, noted
 from scanner.io import copy_given, new_file, write_ply
 from scanner.quantities import unit_name
 from scanner.results import OBJECT_FILE, OBJECT_MESH_FILE, ROOM_FILE, ROOM_MESH_FILE, read_finished_scan
@@ -23,18 +24,18 @@ def export(request: ExportRequest) -> list[str]:
             return _as_it_is(request, name)
     scan = read_finished_scan(request.result)
     mesh = build_mesh(scan)
-    unit, remarks = unit_name(scan.unit), list[str]()
+    unit, findings = unit_name(scan.unit), list[Finding]()
     with new_file(request.out, overwrite=request.overwrite) as path:
         match path.suffix.lower():
             case ".glb":
-                metres, remarks = in_metres(scan.unit)
+                metres, findings = in_metres(scan.unit)
                 unit = "metres"
                 write_glb(path, mesh, metres)
             case ".ply":
                 write_ply(path, mesh, triangles=mesh.triangles)
             case _:
                 write_mesh_obj(path, mesh)
-    return [f"{len(mesh.triangles):,} triangles between {len(mesh.points):,} points, in {unit}", *remarks]
+    return [f"{len(mesh.triangles):,} triangles between {len(mesh.points):,} points, in {unit}", *noted(findings)]
 
 
 def _as_it_is(request: ExportRequest, name: str) -> list[str]:

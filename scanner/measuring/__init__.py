@@ -4,7 +4,7 @@ from scanner.measuring.acceptance import Acceptance, Error, errors_of, parse_bal
 from scanner.measuring.acceptance_report import (
     ACCEPTANCE_FILE,
     ACCEPTANCE_PAGE,
-    remarks,
+    acceptance_findings,
     summary_table,
     write_acceptance,
     write_acceptance_page,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from calib.finding import Finding, FindingKind, Severity
 from scanner.measuring.acceptance import (
     ALLOWED_STRAYS,
     FLATNESS_PLACEMENTS,
@@ -17,6 +18,7 @@ from scanner.measuring.acceptance import (
 )
 from scanner.quantities import ShownUnit, empty_table, percent, plain, shown_unit
 from scanner.rendering import page
+from scanner.results import finding_entries
 
 ACCEPTANCE_FILE, ACCEPTANCE_PAGE = "acceptance.json", "acceptance.html"
 _FORMAT = 1
@@ -26,6 +28,27 @@ NAMES = {
     "SD": ("Sphere-spacing error", SPACING_PLACEMENTS),
     "F": ("Flatness measurement error", FLATNESS_PLACEMENTS),
 }
+
+FEWER_PLACEMENTS = FindingKind(
+    "fewer-placements",
+    "An acceptance test has fewer placements of the ball bar than VDI/VDE 2634 part 2 asks for.",
+    "Scan the bar in the missing places.",
+)
+STRAYS = FindingKind(
+    "strays",
+    "More points of a sphere were left out as strays than the standard allows.",
+    "Clear what stands before or behind the balls' rims.",
+    ("stray_share",),
+)
+FLATNESS_OF_FACES = FindingKind(
+    "flatness-of-faces",
+    "The flatness error was measured on the faces of the corner and contains their unevenness.",
+    "Use a calibrated flat.",
+)
+ROBUST_FIT = FindingKind(
+    "robust-fit",
+    "Spheres and planes were fitted with Tukey's weights, where the standard asks for least squares.",
+)
 
 
 @dataclass(frozen=True)
@@ -60,24 +83,32 @@ def rows(acceptance: Acceptance, quantity: str) -> Iterator[ErrorRow]:
         yield ErrorRow(f"{error.placement}, {error.of}", cells)
 
 
-def remarks(acceptance: Acceptance) -> Iterator[str]:
-    """Return how this differs from the standard's test."""
+def acceptance_findings(acceptance: Acceptance) -> Iterator[Finding]:
+    """Yield how this differs from the standard's test."""
     few = [
         f"{name.lower()} {len(acceptance.of(quantity))} of {wanted}"
         for quantity, (name, wanted) in NAMES.items()
         if len(acceptance.of(quantity)) < wanted
     ]
     if few:
-        yield f"Fewer placements than VDI/VDE 2634 part 2 asks for: {', '.join(few)}."
+        message = f"Fewer placements than VDI/VDE 2634 part 2 asks for: {', '.join(few)}."
+        yield Finding(FEWER_PLACEMENTS, Severity.NOTE, message)
     strays = max((error.strays for error in acceptance.errors), default=0.0)
     if strays > ALLOWED_STRAYS:
-        yield (
+        yield Finding(
+            STRAYS,
+            Severity.NOTE,
             f"On a sphere {percent(strays)} of the points were left out as strays, where the standard allows 0.3 %: "
-            "they belong to objects in front of or behind its rim, or PF is larger than stated."
+            "they belong to objects in front of or behind its rim, or PF is larger than stated.",
+            data={"stray_share": strays},
         )
     if acceptance.of("F"):
-        yield "F was measured on the faces of the corner and contains their unevenness. A calibrated flat is the test."
-    yield "Spheres and planes were fitted with Tukey's weights, which in clean points are least squares."
+        message = (
+            "F was measured on the faces of the corner and contains their unevenness. A calibrated flat is the test."
+        )
+        yield Finding(FLATNESS_OF_FACES, Severity.NOTE, message)
+    message = "Spheres and planes were fitted with Tukey's weights, which in clean points are least squares."
+    yield Finding(ROBUST_FIT, Severity.NOTE, message)
 
 
 def _value(error: Error, unit: ShownUnit) -> str:
@@ -98,7 +129,8 @@ def summary_table(acceptance: Acceptance) -> Table:
 
 def write_acceptance(path: Path, acceptance: Acceptance) -> None:
     """Write all errors for other programs. Raises OSError."""
-    document = {"format": _FORMAT, **asdict(acceptance)}
+    findings = finding_entries(acceptance_findings(acceptance))
+    document = {"format": _FORMAT, **asdict(acceptance), "findings": findings}
     path.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
@@ -109,7 +141,7 @@ def write_acceptance_page(path: Path, acceptance: Acceptance) -> None:
         "acceptance.html",
         summary=list(summary(acceptance)),
         kinds=[(f"{quantity}: {name}", list(rows(acceptance, quantity))) for quantity, (name, _) in NAMES.items()],
-        remarks=list(remarks(acceptance)),
+        findings=list(acceptance_findings(acceptance)),
         sentences=list(dict.fromkeys(acceptance.sentences)),
         diameters=[unit.length(diameter) for diameter in acceptance.ball_bar.diameters],
         length=unit.length(acceptance.ball_bar.length),

@@ -1,10 +1,12 @@
 """Import a recording into a capture folder."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from scanner.capture import CAPTURE_FILE, SMOOTH_KEY
 from scanner.io import flow_yaml, write_png
 from scanner.patterns import FORMAT, frame_line, size_to_dict
@@ -16,17 +18,41 @@ from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples, take_samples
 from scanner.recordings.smooth_error import smooth_px
 from scanner.recordings.start_marks import find_loops
-from scanner.recordings.steadiness import exposure_range, moved_px, notes_on, white_frames
+from scanner.recordings.steadiness import exposure_range, findings_on_steadiness, moved_px, white_frames
 from scanner.recordings.video_file import open_video
 from scanner.recordings.weights import PictureWeights, picture_weights
+from scanner.results import finding_entries
 from scanner.ui import Progress
 
 _PPM = 1e6
 
+OPEN_EXPOSURE = FindingKind(
+    "open-exposure",
+    "A film does not determine its exposure; the capture is the same with any that explains it.",
+)
+LATE_CHANGES = FindingKind(
+    "late-changes",
+    "Pictures of a film changed off their time, which was taken into account: frames were dropped or shown twice.",
+    "Close other programs on the player's computer.",
+    ("changes", "off_ms"),
+)
+UNMIXED_ROWS = FindingKind(
+    "unmixed-rows",
+    "Rows of a film's pictures were unmixed from frames that show two pictures.",
+    "Film with more frames a second, a shorter exposure, or a longer --hold.",
+    ("unmixed_share",),
+)
+LOST_ROWS = FindingKind(
+    "lost-rows",
+    "Rows of a film's pictures are lost, for they could not be separated from other pictures.",
+    "Film with more frames a second, a shorter exposure, or a longer --hold.",
+    ("lost_share",),
+)
+
 
 @dataclass(frozen=True)
 class Imported:
-    """The findings about a recording; `frames_per_picture`: on average over pictures and rows.
+    """What was found out about a recording; `frames_per_picture`: on average over pictures and rows.
 
     `smooth_px`: see `smooth_px`; None if it cannot be measured.
     """
@@ -34,7 +60,7 @@ class Imported:
     clocks: Clocks
     frames_per_picture: float
     smooth_px: float | None
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def import_recording(path: Path, programme: Programme, folder: Path, progress: Progress) -> Imported:
@@ -49,14 +75,14 @@ def import_recording(path: Path, programme: Programme, folder: Path, progress: P
     averaged = average(video, weights, clocks.tone, len(samples.times_s), whites, progress)
     smooth = smooth_px(programme, weights, averaged)
     exposure = exposure_range(samples, whites, clocks)
-    notes = (
-        *found.notes,
+    findings = (
+        *found.findings,
         *_on_exposure(clocks),
         *_on_changes(clocks),
         *_on_rows(weights),
-        *notes_on(path, moved_px(averaged.kept), exposure),
+        *findings_on_steadiness(path, moved_px(averaged.kept), exposure),
     )
-    imported = Imported(clocks, float(np.mean([_frames(each) for each in weights])), smooth, notes)
+    imported = Imported(clocks, float(np.mean([_frames(each) for each in weights])), smooth, findings)
     noise = noise_of(samples, weights, clocks)
     (folder / "frames").mkdir()
     lines = [f"{flow_yaml(key)}: {flow_yaml(value)}\n" for key, value in _header(samples, programme, imported).items()]
@@ -93,7 +119,7 @@ def _header(samples: VideoSamples, programme: Programme, imported: Imported) -> 
         "tone_contrast": round(clocks.tone.contrast, 3),
         **({} if imported.smooth_px is None else {SMOOTH_KEY: float(f"{imported.smooth_px:.3g}")}),
         "loops_s": [round(float(loop.start_s), 4) for loop in clocks.loops],
-        "notes": list(imported.notes),
+        "findings": finding_entries(imported.findings),
     }
     return {
         "format": FORMAT,
@@ -111,32 +137,35 @@ def _exposure(clocks: Clocks, height: int) -> dict[str, object]:
     return {"exposure_ms": round(1e3 * clocks.exposure_s, 2), "readout_ms": round(1e3 * clocks.line_s * height, 2)}
 
 
-def _on_exposure(clocks: Clocks) -> tuple[str, ...]:
-    if clocks.has_exposure:
-        return ()
-    return (
-        f"Exposures {exposure_text(clocks)} explain the film alike, with a readout in proportion: pictures changed at "
-        "the same moments of the frames throughout. The capture is the same with any of them.",
-    )
+def _on_exposure(clocks: Clocks) -> Iterator[Finding]:
+    if not clocks.has_exposure:
+        yield Finding(
+            OPEN_EXPOSURE,
+            Severity.NOTE,
+            f"Exposures {exposure_text(clocks)} explain the film alike, with a readout in proportion: pictures changed "
+            "at the same moments of the frames throughout. The capture is the same with any of them.",
+        )
 
 
-def _on_changes(clocks: Clocks) -> tuple[str, ...]:
+def _on_changes(clocks: Clocks) -> Iterator[Finding]:
     shifts = np.abs(np.concatenate(clocks.shifts_s))
     late = int(np.count_nonzero(shifts))
-    if not late:
-        return ()
-    return (
-        f"{late} changes of the picture came up to {1e3 * shifts.max():.0f} ms off their time, which was taken into "
-        "account: the player or the camera dropped frames or showed some twice.",
-    )
+    if late:
+        yield Finding(
+            LATE_CHANGES,
+            Severity.NOTE,
+            f"{late} changes of the picture came up to {1e3 * shifts.max():.0f} ms off their time, which was taken "
+            "into account: the player or the camera dropped frames or showed some twice.",
+            data={"changes": float(late), "off_ms": 1e3 * float(shifts.max())},
+        )
 
 
-def _on_rows(weights: list[PictureWeights]) -> tuple[str, ...]:
+def _on_rows(weights: list[PictureWeights]) -> Iterator[Finding]:
     unmixed = 1 - float(np.mean([each.alone for each in weights]))
     lost = float(np.mean([np.mean(~each.weights.any(axis=0)) for each in weights]))
-    notes = []
     if unmixed > 0:
-        notes.append(f"{unmixed:.1%} of the pictures' rows were unmixed from frames that show two pictures.")
+        message = f"{unmixed:.1%} of the pictures' rows were unmixed from frames that show two pictures."
+        yield Finding(UNMIXED_ROWS, Severity.NOTE, message, data={"unmixed_share": unmixed})
     if lost > 0:
-        notes.append(f"{lost:.1%} of the pictures' rows are lost: they could not be separated from other pictures.")
-    return tuple(notes)
+        message = f"{lost:.1%} of the pictures' rows are lost: they could not be separated from other pictures."
+        yield Finding(LOST_ROWS, Severity.NOTE, message, data={"lost_share": lost})

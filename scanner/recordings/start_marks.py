@@ -6,6 +6,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats
 from scanner.errors import InputError
 from scanner.recordings.programme import WHITE, Programme
@@ -21,6 +22,18 @@ _LEAST_SWING = 0.5  # share of the full range of brightness
 _FEWEST_FRAMES_PER_SLOT, _GOOD_FRAMES_PER_SLOT = 1.5, 2.5
 _MOST_STRETCH = 0.012  # relative deviation of a loop: a few frames were dropped or repeated
 
+FEW_FRAMES = FindingKind(
+    "few-frames",
+    "A film has so few frames for each picture that they hardly determine the clocks.",
+    "Write the video with a longer --hold, or film with more frames a second.",
+)
+LOOP_LEFT_OUT = FindingKind(
+    "loop-left-out",
+    "A loop of the filmed video is left out, for it was too short or too long.",
+    "Play the video from beginning to end without a pause, and film all of it.",
+    ("begin_s", "length_s", "expected_s"),
+)
+
 
 @dataclass(frozen=True)
 class Loop:
@@ -32,10 +45,10 @@ class Loop:
 
 @dataclass(frozen=True)
 class FoundLoops:
-    """`notes`: sentences on loops that are left out."""
+    """The filmed loops, and `findings` on those that are left out."""
 
     loops: tuple[Loop, ...]
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def find_loops(samples: VideoSamples, programme: Programme) -> FoundLoops:
@@ -55,21 +68,24 @@ def find_loops(samples: VideoSamples, programme: Programme) -> FoundLoops:
             f"{path}: one start mark was filmed, at {starts[0]:.1f} s, where a loop lies between two: "
             "film from before the video begins until it stays black, or write the video with more --loops"
         )
-    loops, notes = list[Loop](), list[str]()
+    loops, findings = list[Loop](), list[Finding]()
     if programme.hold_s / samples.frame_interval_s < _GOOD_FRAMES_PER_SLOT:
-        notes.append("So few frames per picture hardly determine the clocks: a longer --hold makes the capture better.")
+        message = "So few frames per picture hardly determine the clocks: a longer --hold makes the capture better."
+        findings.append(Finding(FEW_FRAMES, Severity.NOTE, message))
     expected = programme.slots_between_marks * programme.hold_s * rate
     for first, second in pairwise(starts):
         if abs((second - first) / expected - 1) < _MOST_STRETCH:
             loops.append(Loop(first, (second - first) / programme.slots_between_marks))
         else:
-            notes.append(
+            message = (
                 f"The loop from {first:.1f} s on took {second - first:.2f} s, where {expected:.2f} s were expected: "
                 "it is left out; the player paused or skipped, or the recording was cut."
             )
+            lengths = {"begin_s": first, "length_s": second - first, "expected_s": expected}
+            findings.append(Finding(LOOP_LEFT_OUT, Severity.WARNING, message, data=lengths))
     if not loops:
-        raise InputError(f"{path}: {notes[-1]} Play the video from beginning to end, and film all of it")
-    return FoundLoops(tuple(loops), tuple(notes))
+        raise InputError(f"{path}: {findings[-1]} Play the video from beginning to end, and film all of it")
+    return FoundLoops(tuple(loops), tuple(findings))
 
 
 def _brightness(samples: VideoSamples) -> Floats:

@@ -1,15 +1,17 @@
 """Whether a camera stood still and kept its exposure, from the white fields of the start marks."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import cv2
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Image, Ints
 from scanner.errors import InputError
 from scanner.recordings.clocks import Clocks
 from scanner.recordings.programme import LONGEST_WHITE, Programme
 from scanner.recordings.samples import Light, VideoSamples
+from scanner.shown_text import capitalised
 
 _TILES, _TILE_PX = 3, 256
 _CLEAR = 0.8  # least correlation
@@ -18,6 +20,19 @@ _NAMED_PX, _REFUSED_PX = 0.3, 2.0
 _NAMED_GAIN, _REFUSED_GAIN = 0.03, 0.4
 _FEWEST_CLEAR = 3
 _WHITES_PER_MARK = 3
+
+PICTURE_MOVED = FindingKind(
+    "picture-moved",
+    "The picture of a film moved: the camera stood unsteadily, or its stabilisation was on.",
+    "Put the camera on a stand, and switch stabilisation off.",
+    ("moved_px",),
+)
+EXPOSURE_CHANGED = FindingKind(
+    "exposure-changed",
+    "The exposure of a film changed between its white fields.",
+    "Lock exposure, ISO and white balance before filming.",
+    ("exposure_share",),
+)
 
 
 def white_frames(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Ints:
@@ -70,17 +85,16 @@ def exposure_range(samples: VideoSamples, numbers: Ints, clocks: Clocks) -> floa
     return float(np.ptp(levels) / np.median(levels))
 
 
-def notes_on(path: object, shift_px: float, exposure: float) -> tuple[str, ...]:
-    """Notes on unusual motion and exposure. Raises InputError if they spoil a scan."""
-    notes = []
+def findings_on_steadiness(path: object, shift_px: float, exposure: float) -> Iterator[Finding]:
+    """Warnings about unusual motion and exposure. Raises InputError if they spoil a scan."""
     if shift_px > _NAMED_PX:
         moved = f"the picture moved by {shift_px:.1f} px: the camera stood unsteadily, or its stabilisation was on"
         if shift_px > _REFUSED_PX:
             raise InputError(f"{path}: {moved}: put it on a stand and switch stabilisation off")
-        notes.append(f"{moved[0].upper()}{moved[1:]}.")
+        yield Finding(PICTURE_MOVED, Severity.WARNING, f"{capitalised(moved)}.", data={"moved_px": shift_px})
     if exposure > _NAMED_GAIN:
         changed = f"the camera's exposure changed by {exposure:.0%} between white fields"
         if exposure > _REFUSED_GAIN:
             raise InputError(f"{path}: {changed}: lock exposure, ISO and white balance before filming")
-        notes.append(f"{changed[0].upper()}{changed[1:]}; lock it.")
-    return tuple(notes)
+        message = f"{capitalised(changed)}; lock it."
+        yield Finding(EXPOSURE_CHANGED, Severity.WARNING, message, data={"exposure_share": exposure})

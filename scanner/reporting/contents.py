@@ -79,8 +79,11 @@ class ReportInput:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Those on the capture and its calibration, and on the captures that were calibrated together."""
-        return (*findings_on(self.reconstructed or self.outcome.decoded), *self.joint.findings)
+        """Why it was refused; those on the capture and its calibration, and on the captures that were calibrated
+        together.
+        """
+        refusal = (self.outcome.refusal.finding,) if isinstance(self.outcome, Refused) else ()
+        return (*refusal, *findings_on(self.reconstructed or self.outcome.decoded), *self.joint.findings)
 
     @cached_property
     def sample(self) -> Matches:

@@ -71,7 +71,8 @@ def _of_outcome(report: ReportInput) -> Verdict:
     match report.outcome:
         case Refused(refusal=refusal):
             matched = f"{len(report.matches):,} matches were decoded and are kept in matches.npz."
-            return Verdict("refused", "Not calibrated", (refusal.reason, matched), refusal.advice)
+            kinds = (refusal.finding.kind,)
+            return Verdict("refused", "Not calibrated", (refusal.reason, matched), refusal.advice, kinds=kinds)
         case Reconstructed(SelfCalibrated() as calibrated, cloud):
             return _of_self_calibration(report, calibrated, cloud.statistics)
         case Reconstructed(cloud=cloud) if unchecked := of_kinds(report.findings, UNCHECKED):

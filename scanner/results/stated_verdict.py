@@ -38,13 +38,15 @@ class _StatedEntry(Entry):
 
 def verdict_entries(verdict: Verdict) -> dict[str, Any]:
     """Keys for a calibration file, or for the file that replaces it after a refusal: the verdict, and all findings."""
-    stated = {
+    stated: dict[str, Any] = {
         "grade": verdict.grade,
         "headline": verdict.headline,
         "reasons": [*verdict.reasons],
         "advice": verdict.advice,
-        **({"kinds": [kind.name for kind in verdict.kinds]} if verdict.kinds else {}),
     }
+    present = {finding.kind for finding in verdict.findings}
+    if kinds := [kind.name for kind in verdict.kinds if kind in present]:
+        stated["kinds"] = kinds
     return {"verdict": stated, "findings": finding_entries(verdict.findings)}
 
 

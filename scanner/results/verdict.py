@@ -30,7 +30,7 @@ class Verdict:
     findings: tuple[Finding, ...] = ()
     """All that was found out about the result."""
     kinds: tuple[FindingKind, ...] = ()
-    """Kinds of those findings that the reasons say already."""
+    """Kinds of findings that the reasons say already, where they were found."""
 
     @property
     def further(self) -> tuple[Finding, ...]:

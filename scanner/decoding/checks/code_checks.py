@@ -18,7 +18,7 @@ from scanner.decoding.codes import CodeWords, cell_numbers
 from scanner.decoding.light import LIT, STRAY_PART, NoiseModel
 from scanner.decoding.sequence_plan import FINE_BITS, GrayCode, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FARTHEST_PX, FEWEST_COUNTED, OUTLYING_SIGMAS
-from scanner.errors import InputError
+from scanner.errors import FramesError
 
 # Smaller differences are rounding and compression, in grey levels, or stray light, whose bits are unreliable, as a
 # share of the brightest pixels (STRAY_PART), which matters for cameras with many bits and little noise.
@@ -177,10 +177,11 @@ def _require_unrepairable(plan: SequencePlan, code: GrayCode, changes: _Changes,
     first, second = swaps[int(np.argmin(wrong_after))]
     names = plan.names(code.frames_of((first, second)))
     if first == second:
-        raise InputError(f"the code along {code.axis} makes sense only with the opposite of bit {first}; see {names}")
-    raise InputError(
-        f"the code along {code.axis} makes sense only with bits {first} and {second} exchanged; see {names}"
-    )
+        raise FramesError(
+            f"the code along {code.axis} makes sense only with the opposite of bit {first}", f"see {names}"
+        )
+    problem = f"the code along {code.axis} makes sense only with bits {first} and {second} exchanged"
+    raise FramesError(problem, f"see {names}")
 
 
 def _is_unrelated(of_bit: Bools, wrong: _Changes, bit: int) -> bool:

@@ -24,7 +24,7 @@ from scanner.decoding.code_images import CodeImages
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, Reasons, count_reasons
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
-from scanner.errors import InputError
+from scanner.errors import FramesError, InputError
 
 # Distance from the epipolar line in projector pixels that lens distortion or a poor sigma may cause.
 EPIPOLAR_PX = 3.0
@@ -42,7 +42,7 @@ def annotate_errors(anomalies: Sequence[Finding]) -> Iterator[None]:
     except InputError as error:
         if not anomalies:
             raise
-        raise InputError(f"{_description(anomalies)}; and {error}") from error
+        raise _inconsistent(anomalies, f"and {error}") from error
 
 
 def assess_anomalies(
@@ -58,9 +58,10 @@ def assess_anomalies(
     broken = int(sum(counts[reason] for reason in BROKEN))
     share = broken / max(1, broken + int(counts[MaskReason.KEPT]))
     if share > MOST_BROKEN:
-        raise InputError(
-            f"{_description(anomalies)}; and {share:.0%} of the lit pixels are inconsistent in themselves or with "
-            "their surface: did something move in most of the picture, or were frames exchanged?"
+        raise _inconsistent(
+            anomalies,
+            f"and {share:.0%} of the lit pixels are inconsistent in themselves or with their surface: did something "
+            "move in most of the picture, or were frames exchanged?",
         )
     if len(matches) < FEWEST_PIXELS:
         return _harmless(anomalies, "Too few pixels have a match to assess the effect.")
@@ -72,9 +73,10 @@ def assess_anomalies(
         )
     distance, outliers = _epipolar(matches)
     if outliers > _MOST_OUTLIERS:
-        raise InputError(
-            f"{_description(anomalies)}; and {outliers:.0%} of the matches are more than {EPIPOLAR_PX:g} projector "
-            "pixels from the epipolar geometry of the others"
+        raise _inconsistent(
+            anomalies,
+            f"and {outliers:.0%} of the matches are more than {EPIPOLAR_PX:g} projector pixels from the epipolar "
+            "geometry of the others",
         )
     return _harmless(
         anomalies,
@@ -89,6 +91,11 @@ def _harmless(anomalies: Sequence[Finding], effect: str, data: Mapping[str, Datu
     frames = tuple(sorted(suspected(anomalies)))
     message = f"{_description(anomalies)}. {effect}"
     return Finding(FRAMES_CONTRADICT, Severity.WARNING, message, data={"frames": frames, **(data or {})})
+
+
+def _inconsistent(anomalies: Sequence[Finding], effect: str) -> FramesError:
+    further = [anomaly.message for anomaly in anomalies[1:]]
+    return FramesError(_description(anomalies[:1]), "; ".join([*further, effect]))
 
 
 def _description(anomalies: Sequence[Finding]) -> str:

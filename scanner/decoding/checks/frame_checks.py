@@ -28,7 +28,7 @@ from scanner.decoding.checks.frame_consistency import (
 from scanner.decoding.light import NoiseModel
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, HALF, NEARLY_ALL, OUTLYING_SIGMAS
-from scanner.errors import InputError
+from scanner.errors import FramesError, InputError
 
 # Least swing of a lit pixel over all frames: in standard deviations of a difference of two, of which a hundred frames
 # have thousands, and in grey levels, which rounding alone may differ by. Better pixels are preferred.
@@ -65,8 +65,9 @@ def check_frames(
     switched = [] if switch is None else [anomaly(switch.description(plan), [switch.frame])]
     mistake = _find_swap(plan, sample, equalised_sample, anomalies) or _duplicate(plan, sample, anomalies)
     if mistake:
-        message = "; ".join([*(finding.message for finding in anomalies), mistake])
-        raise InputError(f"the frames do not show what the capture says: {message}")
+        first, *further = [*(finding.message for finding in anomalies), mistake]
+        problem = f"the frames do not show what the capture says: {first}"
+        raise FramesError(problem, "; ".join(further)) if further else InputError(problem)
     return [*switched, *find_anomalies(plan, equalised_sample)], switch
 
 
@@ -205,13 +206,14 @@ def _lit(levels: Floats32, noise: NoiseModel, saturation: float) -> NDArray[np.i
     sample = LitSample.of(levels, noise)
     changing = _seen(sample)
     if np.count_nonzero(changing) < _FEWEST_LIT:
-        raise InputError(
+        raise FramesError(
             "no pixel changes clearly with the patterns: half of them vary by at most "
-            f"{np.median(sample.swing):.1f} grey levels over the capture, where noise is "
-            f"{np.median(sample.sigma):.1f}; is the projector on, the lens uncapped, the exposure long enough?"
+            f"{np.median(sample.swing):.1f} grey levels over the capture, where noise is {np.median(sample.sigma):.1f}",
+            "is the projector on, the lens uncapped, the exposure long enough?",
         )
     lit = np.flatnonzero(changing & (levels.max(axis=0) < saturation))
     if len(lit) < _FEWEST_LIT:
-        raise InputError("the frames are overexposed: all lit pixels reach the largest value; shorten the exposure")
+        problem = "the frames are overexposed: all lit pixels reach the largest value"
+        raise FramesError(problem, "shorten the exposure")
     well_lit = lit[_seen(sample, _WELL_SEEN)[lit]]
     return evenly_spread(well_lit if len(well_lit) >= FEWEST_PIXELS else lit)

@@ -20,7 +20,7 @@ from scanner.decoding.fringes import disagreements
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF
-from scanner.errors import InputError
+from scanner.errors import FramesError, InputError
 
 # Mean cosine of the phase within a Gray cell; fringes for which it is lower are not checked.
 _INFORMATIVE = 0.3
@@ -53,9 +53,9 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, measured: UnwrappedF
         cosine = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
         if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and cosine < HALF * expected:
             if cosine < _UNRELATED * expected:
-                raise InputError(
-                    f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were "
-                    f"some of these frames exchanged{_or_code(plan, axis)}?"
+                raise FramesError(
+                    f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}",
+                    f"were some of these frames exchanged{_or_code(plan, axis)}?",
                 )
             yield anomaly(
                 f"the fringes of {plan.names(fringe.frames)} follow the Gray code along {axis.axis} badly",
@@ -135,9 +135,9 @@ def _check_share(plan: SequencePlan, axis: AxisPlan, counts: Ints, kept: int) ->
     ):
         bad = int(counts[reasons].sum())
         if bad > FEWEST_PIXELS and bad > _MOST_BAD * (bad + kept):
-            raise InputError(
-                f"along {axis.axis} {what} at {bad / (bad + kept):.0%} of the lit pixels; were frames exchanged, or is "
-                f"the projector's size wrong? {plan.names(axis.frames)}"
+            raise FramesError(
+                f"along {axis.axis} {what} at {bad / (bad + kept):.0%} of the lit pixels",
+                f"were frames exchanged, or is the projector's size wrong? {plan.names(axis.frames)}",
             )
 
 

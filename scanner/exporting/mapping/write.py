@@ -22,7 +22,7 @@ from scanner.exporting.mapping.projector_view import Numbers, ProjectorView, Sur
 from scanner.exporting.mapping.scene import MappedScene, read_scene
 from scanner.exporting.mapping.wall import WallView, largest_wall
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA
-from scanner.exporting.units import in_metres
+from scanner.exporting.units import in_metres, noted
 from scanner.io import (
     PngFile,
     PngRows,
@@ -59,7 +59,7 @@ def export(request: ExportRequest) -> list[str]:
     refuse_existing(request.out / LISTING_FILE, overwrite=request.overwrite)
     scene = read_scene(request.result)
     _require_room(scene.projectors, request.out)
-    metres, remarks = in_metres(scene.mesh.unit, scene.baseline)
+    metres, findings = in_metres(scene.mesh.unit, scene.baseline)
     eye = None if request.eye is None else np.array(request.eye) * Y_UP_FROM_CAMERA / metres
     viewpoint = WallView(largest_wall(scene.mesh), eye)
     viewpoint.refuse_behind()
@@ -77,7 +77,7 @@ def export(request: ExportRequest) -> list[str]:
             "projectors": [_entry(camera, metres) for camera in cameras],
         }
         listing.write_text(block_yaml(entry), encoding="utf-8")
-    return [*_summary(scene, content, metres, shares), *remarks]
+    return [*_summary(scene, content, metres, shares), *noted(findings)]
 
 
 def _require_room(projectors: Sequence[StoredDevice], out: Path) -> None:

@@ -91,7 +91,7 @@ def test_a_board_that_moved_is_named_and_left_out() -> None:
     views[4] = replace(views[4], cells=moved)
     found = calibrated(boards, views)
     assert [odd.name for odd in found.left_out] == ["view 4"]
-    assert any("view 4 was left out" in note for note in found.notes)
+    assert any("view 4 was left out" in finding.message for finding in found.findings)
     assert np.abs(in_sigmas(found, boards.calibration)).max() < 5
 
 

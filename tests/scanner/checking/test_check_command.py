@@ -9,13 +9,14 @@ import pytest
 import yaml
 from rich.console import Console
 
+from calib.finding import Finding, Severity
 from calib.refusal import RefusalError
 from hw.aravis import AravisRigSettings
 from hw.errors import DeviceError, OverexposedError
 from hw.open_rig import OpenedRig
 from hw.simulated import SimulatedRoom
 from scanner.checking import check_configured_rig, devices
-from scanner.checking.report import CheckReport, CheckRow, CheckState, table_of
+from scanner.checking.report import CheckReport, CheckRow, table_of
 from scanner.commands import check as command
 from scanner.commands import main
 from scanner.configuration import load_config
@@ -120,8 +121,8 @@ def test_exit_codes(
     code: int,
 ) -> None:
     rows = (
-        CheckRow("camera", CheckState.OK, "here"),
-        CheckRow("focus", CheckState.POOR, "blurred", "Focus the camera."),
+        CheckRow("camera", Finding(FOR_TESTS, Severity.NOTE, "here")),
+        CheckRow("focus", Finding(FOR_TESTS, Severity.WARNING, "blurred", "Focus the camera.")),
     )
     finding(monkeypatch, rows, failure)
     assert run("--config", path) == code
@@ -205,7 +206,7 @@ def test_a_rig_that_stays_overexposed_fails(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize(("encoding", "sign"), [("utf-8", "✓"), ("ascii", "+"), (None, "+"), ("cp1252", "+")])
 def test_terminals_without_unicode_get_plain_symbols(encoding: str | None, sign: str) -> None:
-    report = CheckReport([CheckRow("focus", CheckState.OK, "sharp [all]", "Nothing.")])
+    report = CheckReport([CheckRow("focus", Finding(FOR_TESTS, Severity.NOTE, "sharp [all]", "Nothing."))])
     out = StringIO()
     Console(file=out, width=80).print(table_of(report, encoding))
     assert f"{sign} ok" in out.getvalue()

@@ -46,7 +46,7 @@ def test_a_good_rig_is_ok_in_every_row(usual: CheckReport) -> None:
     assert [row.name for row in usual.rows] == NAMES
     assert {row.name: row.state for row in usual.rows if row.state != CheckState.OK} == {}
     assert usual.failure is None
-    assert not any(row.advice for row in usual.rows)
+    assert not any(row.finding.advice for row in usual.rows)
     assert set(usual.pictures) == {"saturation", "coverage", "contrast"}
 
 
@@ -82,8 +82,8 @@ def test_the_proposed_exposure_uses_the_range_and_saturates_nothing(room: Simula
     found = exposure_row(proposal, 240.0, bracketed=False)
     assert found.state == (CheckState.OK if start == 1.0 else CheckState.POOR)
     if start > 2:
-        assert "clipped" in found.finding
-        assert "--write" in found.advice
+        assert "clipped" in found.finding.message
+        assert "--write" in found.finding.advice
 
 
 def test_an_exposure_that_cannot_be_short_enough_is_reported(room: SimulatedRoom) -> None:
@@ -92,7 +92,7 @@ def test_an_exposure_that_cannot_be_short_enough_is_reported(room: SimulatedRoom
     assert proposal.exposure_us is None
     found = exposure_row(proposal, 10.0, bracketed=False)
     assert found.state == CheckState.POOR
-    assert "close the aperture" in found.advice
+    assert "close the aperture" in found.finding.advice
 
 
 @pytest.mark.parametrize(("part", "state"), [(0.2, CheckState.POOR), (1.0, CheckState.OK), (3.0, CheckState.POOR)])
@@ -103,7 +103,7 @@ def test_a_fixed_exposure_is_judged(
     rig = rig_in(changed(room, exposure_us=part * room.sensor.exposure_us, refresh_hz=240.0))
     found = exposure_row(propose_exposure(rig), 240.0, bracketed=False)
     assert found.state == state
-    assert ("by hand" in found.advice) == (state == CheckState.POOR)
+    assert ("by hand" in found.finding.advice) == (state == CheckState.POOR)
 
 
 @pytest.mark.parametrize(("ambient", "state"), [(0.02, CheckState.OK), (0.3, CheckState.OK), (1.5, CheckState.POOR)])
@@ -112,7 +112,7 @@ def test_ambient_light(room: SimulatedRoom, ambient: float, state: CheckState) -
     light = photograph_light(rig_in(lit_room), 2, 2)
     found = {row.name: row for row in light_rows(light)}["ambient light"]
     assert found.state == state
-    assert ("Darken" in found.advice) == (state == CheckState.POOR)
+    assert ("Darken" in found.finding.advice) == (state == CheckState.POOR)
     dark, bright = (lit_room.electrons(np.full_like(WHITE, level)) for level in (0, 255))
     lit = np.isfinite(room.ground_truth().projector_px).all(axis=2)
     true = float(np.median(dark[lit] / bright[lit]))
@@ -127,12 +127,12 @@ def test_pulsating_light_flickers_unless_exposures_are_whole_periods(room: Simul
     assert flicker_of(light).white == pytest.approx(expected, rel=0.35)
     found = {row.name: row for row in light_rows(light)}["flicker"]
     assert found.state == CheckState.POOR
-    assert "projector" in found.advice
+    assert "projector" in found.finding.advice
     exposure_control(rig.camera).expose_for(2 * PERIOD_US)
     assert 1e-6 < flicker_of(photograph_light(rig, 6, 4)).white < 0.002
     advised = exposure_row(propose_exposure(rig_in(pulsating)), 60.0, bracketed=False)
     assert advised.state == CheckState.POOR
-    assert "differ by" in advised.finding
+    assert "differ by" in advised.finding.message
 
 
 @pytest.mark.parametrize("ghost", [0.0, 0.1])
@@ -146,8 +146,8 @@ def test_ghosting_of_the_last_picture_is_measured(room: SimulatedRoom, ghost: fl
 def test_ghosting_does_not_change_other_rows(room: SimulatedRoom) -> None:
     report = check_rig(rig_in(changed(room, ghost=0.3, exposure_us=PERIOD_US)), config(), QUIET)
     assert {row.name for row in report.rows if row.state != CheckState.OK} == {"ghost"}
-    assert "nothing moved by more than noise" in row(report, "steadiness").finding
-    assert row(report, "response").finding == "gamma 2.20"
+    assert "nothing moved by more than noise" in row(report, "steadiness").finding.message
+    assert row(report, "response").finding.message == "gamma 2.20"
     assert report.failure is None
 
 
@@ -156,8 +156,8 @@ def test_a_mirrored_picture_is_reported(room: SimulatedRoom) -> None:
     quick = view.take_quick(rig, config(), FringeMeter(), QUIET)
     found, failure = view.view_row(quick, config(), [])
     assert found.state == CheckState.FAILED
-    assert "the projector mirrors its picture" in found.finding
-    assert "rear projection" in found.advice
+    assert "the projector mirrors its picture" in found.finding.message
+    assert "rear projection" in found.finding.advice
     assert failure is not None
 
 
@@ -180,9 +180,9 @@ def test_the_contrast_of_single_pixels_is_measured(
     assert ramp is not None
     found = pixel_row(rig, light, ramp)
     assert found is not None
-    percent, *_ = re.findall(r"(\d+) %", found.finding)
+    percent, *_ = re.findall(r"(\d+) %", found.finding.message)
     assert 100 * least < float(percent) < 100 * most
-    assert said in found.advice
+    assert said in found.finding.advice
     assert found.state == (CheckState.POOR if said else CheckState.OK)
 
 
@@ -198,7 +198,7 @@ def test_motion_during_the_check_is_reported(room: SimulatedRoom, device: str, p
     found = steadiness_row(later, before, now, view.projector_map(quick.decoding))
     assert found is not None
     assert found.state == (CheckState.POOR if px else CheckState.OK)
-    moved = re.search(r"the (\w+) moved by ([0-9.]+) px", found.finding)
+    moved = re.search(r"the (\w+) moved by ([0-9.]+) px", found.finding.message)
     assert (moved is not None) == (px > 0)
     if moved:
         assert moved[1] == device
@@ -208,7 +208,7 @@ def test_motion_during_the_check_is_reported(room: SimulatedRoom, device: str, p
 def test_a_lamp_still_warming_up_is_reported() -> None:
     still = RigidFit(np.zeros(8), np.eye(8), 0.0)
     assert row_of(still, -0.2, 60).state == CheckState.OK
-    assert "warm" in row_of(still, -0.8, 60).advice
+    assert "warm" in row_of(still, -0.8, 60).finding.advice
 
 
 def test_flickering_lamps_are_distinguished_from_the_projector() -> None:
@@ -222,7 +222,7 @@ def test_flickering_lamps_are_distinguished_from_the_projector() -> None:
     light = Light(tuple(frame(180, next(lamp)) for _ in range(6)), tuple(frame(40, next(lamp)) for _ in range(4)), 255)
     (found,) = [row for row in light_rows(light) if row.name == "flicker"]
     assert found.state == CheckState.POOR
-    assert "mains" in found.advice
+    assert "mains" in found.finding.advice
 
 
 @pytest.mark.parametrize("gamma", [1.0, 1.8, 2.6])
@@ -240,9 +240,9 @@ def test_a_clipping_response_is_reported() -> None:
     clipping = ramp_of(np.minimum(1, 1.3 * levels))
     assert clipping.response is None
     assert response_row(clipping).state == CheckState.POOR
-    assert "above grey level 20" in response_row(clipping).finding
-    assert response_row(ramp_of(levels**2.2)).finding == "gamma 2.20"
-    assert "off a power law" in response_row(ramp_of((levels + levels**3) / 2)).finding
+    assert "above grey level 20" in response_row(clipping).finding.message
+    assert response_row(ramp_of(levels**2.2)).finding.message == "gamma 2.20"
+    assert "off a power law" in response_row(ramp_of((levels + levels**3) / 2)).finding.message
 
 
 def test_the_predicted_sigma_matches_the_scan(room: SimulatedRoom, usual: CheckReport) -> None:
@@ -250,7 +250,7 @@ def test_the_predicted_sigma_matches_the_scan(room: SimulatedRoom, usual: CheckR
     found = decode(capture(rig_in(whole), config().sequence.patterns(PROJECTOR)), QUIET, "")
     (solution,) = solve(label([found], [found], config()), config())
     truth = relative_focal_sigmas(solution.calibration)
-    predicted = [float(word) / 100 for word in row(usual, "view").finding.split() if word[0].isdigit()]
+    predicted = [float(word) / 100 for word in row(usual, "view").finding.message.split() if word[0].isdigit()]
     for sigma, device in zip(predicted, ("camera", "projector"), strict=True):
         assert 0.5 < sigma / truth[device] < 3.5  # said to two digits, from a few frames, and rather too large
 
@@ -275,16 +275,16 @@ def test_a_camera_that_looks_past_the_picture_gets_directions(usual: CheckReport
     coverage = view.PictureCoverage(0.01, (-0.4, 0.0), 0.25, (-0.375, 0.0), seen, 1.0)
     found = view.coverage_row(coverage, decoding_with(np.ones((4, 4), np.uint8)))
     assert found.state == CheckState.POOR
-    assert "Turn the camera to the left" in found.advice
-    assert "Turn the projector to the left" in found.advice
+    assert "Turn the camera to the left" in found.finding.advice
+    assert "Turn the projector to the left" in found.finding.advice
 
 
 def test_undecoded_lit_pixels_give_no_directions() -> None:
     coverage = view.PictureCoverage(0.02, (-0.4, 0.0), 0.4, (0.0, 0.0), np.ones((18, 32), bool), 1.0)
     found = view.coverage_row(coverage, decoding_with(np.array([[0, 3, 3, 7]], np.uint8)))
     assert found.state == CheckState.POOR
-    assert "only 25 % of the lit pixels decode" in found.finding
-    assert "Turn" not in found.advice
+    assert "only 25 % of the lit pixels decode" in found.finding.message
+    assert "Turn" not in found.finding.advice
 
 
 def decoding_with(reasons: NDArray[np.uint8]) -> Decoding:
@@ -318,7 +318,7 @@ def test_a_camera_that_sees_no_light_fails_with_what_to_do() -> None:
     report = check_rig(Rig(blind, blind), config(), QUIET)
     assert isinstance(report.failure, RefusalError)
     assert report.state == CheckState.FAILED
-    assert "lens cap" in row(report, "coverage").advice
+    assert "lens cap" in row(report, "coverage").finding.advice
     assert row(report, "exposure").state == CheckState.FAILED
 
 
@@ -327,7 +327,7 @@ def test_a_device_that_fails_ends_the_check_with_what_is_known() -> None:
     report = check_rig(Rig(blind, blind), config(), QUIET)
     assert isinstance(report.failure, DeviceError)
     assert [row.name for row in report.rows][:3] == ["camera", "projector", "latency"]
-    assert "it is gone" in report.rows[-1].finding
+    assert "it is gone" in report.rows[-1].finding.message
     assert report.rows[-1].state == CheckState.FAILED
 
 

@@ -29,7 +29,7 @@ def test_the_defocused_lens_is_named(room: SimulatedRoom, blur: dict[str, float]
     report = check_rig(rig_in(changed(room, exposure_us=PERIOD_US, **blur)), config(), Terminal(quiet=True))
     found = row(report, "focus")
     assert found.state == CheckState.POOR
-    assert found.advice.startswith(advice)
+    assert found.finding.advice.startswith(advice)
 
 
 def samples_of(projector: float, camera: float, *, noise: float = 0.02, even: bool = False) -> BlurSamples:
@@ -54,14 +54,14 @@ def test_a_probably_defocused_lens_is_named_as_probable() -> None:
     samples = replace(samples_of(1.25, 0.5), doubt2=np.full(200, 0.2))
     found = focus_row(samples, separate_lenses(samples), 6.7)
     assert found.state == CheckState.POOR
-    assert found.advice.startswith("Focus the projector, which seems to be the one")
+    assert found.finding.advice.startswith("Focus the projector, which seems to be the one")
 
 
 def test_undecidable_blur_is_not_attributed() -> None:
     samples = samples_of(1.5, 1.5, noise=0.05, even=True)
     found = focus_row(samples, separate_lenses(samples), 6.7)
     assert found.state == CheckState.POOR
-    assert "does not show which lens" in found.advice
+    assert "does not show which lens" in found.finding.advice
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_undecidable_blur_is_not_attributed() -> None:
 def test_advice(projector: float, camera: float, advice: str) -> None:
     samples = samples_of(projector, camera)
     found = focus_row(samples, separate_lenses(samples), 6.7)
-    assert found.advice.startswith(advice)
+    assert found.finding.advice.startswith(advice)
     assert (found.state == CheckState.OK) == (advice == "")
 
 
@@ -80,7 +80,7 @@ def test_a_coarse_camera_gets_no_focus_advice() -> None:
     coarse = BlurSamples(0.3**2 + 0.5**2 * (4 * samples.span) ** 2, 4 * samples.span, *vars_of(samples))
     found = focus_row(coarse, separate_lenses(coarse), 6.7)
     assert found.state == CheckState.POOR
-    assert "too coarse" in found.advice
+    assert "too coarse" in found.finding.advice
 
 
 def vars_of(samples: BlurSamples) -> tuple[Floats, Floats, float]:
@@ -91,7 +91,7 @@ def test_the_most_blurred_part_of_the_image_is_named() -> None:
     samples = samples_of(0.5, 0.5)
     tilted = samples.blur2 + 3.0 * ((samples.where[:, 0] > 0.6) & (samples.where[:, 1] > 0.6))
     found = focus_row(BlurSamples(tilted, samples.span, *vars_of(samples)), separate_lenses(samples), 6.7)
-    assert "in the lower right part of the image" in found.finding
+    assert "in the lower right part of the image" in found.finding.message
 
 
 def test_stripes_blurred_away_everywhere_are_reported() -> None:
