@@ -14,7 +14,7 @@ from calib.refinement import into_cells
 from scanner.capture import CAPTURE_FILE, Recording, open_capture
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.io import refuse_other_sizes
+from scanner.io import given_path, refuse_other_sizes
 from scanner.pipeline import decode
 from scanner.quantities import shown_unit
 from scanner.reconstruction import lenses_of
@@ -131,7 +131,7 @@ def calibrate_board_captures(
 
 def _names(recordings: Sequence[Recording]) -> list[str]:
     """Return the shortest distinct names of the folders."""
-    parts = [recording.folder.resolve().parts for recording in recordings]
+    parts = [given_path(recording.folder).parts for recording in recordings]
     longest = max(len(part) for part in parts)
     names = (["/".join(part[-length:]) for part in parts] for length in range(1, longest + 1))
     return next(candidate for candidate in names if len(set(candidate)) == len(candidate))

@@ -7,6 +7,7 @@ from scanner import jobs
 from scanner.capture import CAPTURE_FILE
 from scanner.commands.outcome import show_outcome
 from scanner.configuration import load_config
+from scanner.io import given_path
 from scanner.results import CAPTURE_FOLDER, default_out
 from scanner.ui import Terminal
 
@@ -29,6 +30,6 @@ def run(args: Namespace) -> None:
 
 def _name(capture: Path) -> str:
     """The recording of a result is called `capture`, like all others: the result's name says more."""
-    folder = capture.resolve()
+    folder = given_path(capture)
     folder = folder.parent if folder.name == CAPTURE_FILE else folder
     return folder.parent.name if folder.name == CAPTURE_FOLDER else folder.name

@@ -9,6 +9,7 @@ from scanner.io.given_file import (
     MOST_IMAGE_FILE_BYTES,
     MOST_PIXELS,
     copy_given,
+    given_path,
     opened,
     read_bytes,
     read_whole,

@@ -25,6 +25,11 @@ _PIECE_BYTES = 1 << 20
 _WITHOUT_WAITING = getattr(os, "O_NONBLOCK", 0)
 
 
+def given_path(path: Path) -> Path:
+    """Absolute path by the names that were given: a link is called by its own name, not by that of its target."""
+    return Path(os.path.abspath(path))  # noqa: PTH100 - Path.resolve follows links, and Path.absolute keeps '..'
+
+
 def _open_without_waiting(name: str, flags: int) -> int:
     return os.open(name, flags | _WITHOUT_WAITING)
 

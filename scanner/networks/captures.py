@@ -13,6 +13,7 @@ from scanner.capture import Recording, open_capture
 from scanner.configuration import Config
 from scanner.decoding import MirroredError
 from scanner.errors import InputError
+from scanner.io import given_path
 from scanner.pipeline import decode_recording
 from scanner.reconstruction import label
 from scanner.results import CAPTURE_FOLDER, Decoded
@@ -70,7 +71,7 @@ def _recording_in(folder: Path) -> Path:
 
 
 def _pair_of(folder: Path) -> Pair:
-    camera, dash, projector = folder.resolve().name.partition("-")
+    camera, dash, projector = given_path(folder).name.partition("-")
     if not (camera and dash and projector) or "-" in projector:
         raise InputError(
             f"{folder}: expected a folder named <camera>-<projector>, as in left-stage, with one hyphen; "

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from scanner.errors import InputError
-from scanner.io import MATCHES_FILE
+from scanner.io import MATCHES_FILE, given_path
 from scanner.results.unfinished import is_held
 
 CALIBRATION_FILE = "calibration.yaml"
@@ -68,7 +68,7 @@ def default_out(stem: str, *, overwrite: bool) -> Path:
 
 def path_beside(result: Path, ending: str) -> Path:
     """A path beside a result, derived from its name: the result folder itself is not changed."""
-    folder = result.resolve()
+    folder = given_path(result)
     name = f"{folder.name}{ending}"
     return folder.parent / name if result.name in ("", ".", "..") else result.parent / name
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from scanner.io import given_path
 from scanner.ui import Terminal
 from scanner.viewing.panel import ResultPanel, reading
 from scanner.viewing.server import add_style, announce_page, serving, wait
@@ -11,7 +12,7 @@ def view_result(folder: Path, host: str, port: int | None, terminal: Terminal, *
     """Serve a result until Ctrl-C, which raises KeyboardInterrupt. Raises InputError."""
     with terminal.step("Reading the result"):
         show = reading(folder)
-    with serving(f"Result {folder.resolve().name}", host, port) as served:
+    with serving(f"Result {given_path(folder).name}", host, port) as served:
         gui = served.server.gui
         gui.main_panel.dock_right()
         tabs = gui.add_tab_group()

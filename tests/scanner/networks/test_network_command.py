@@ -108,6 +108,22 @@ def test_a_mirrored_capture_is_named(
     assert "a-p: the horizontal coordinate runs backwards" in " ".join(capsys.readouterr().err.split())
 
 
+def test_a_link_to_a_capture_has_its_own_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folders = []
+    for number, name in enumerate(("a-p", "b-p")):
+        target = write_capture(tmp_path / f"recording{number}")
+        folders.append(tmp_path / name)
+        folders[-1].symlink_to(target)
+    listing = folders[1] / "capture.yaml"
+    content = yaml.safe_load(listing.read_text())
+    content["projector"] = {"width": 64, "height": 32}
+    listing.write_text(yaml.safe_dump(content))
+
+    assert run("network", *folders, "--out", tmp_path / "hall") == 2
+
+    assert "p has 64 × 32 pixels here and 48 × 32 in" in " ".join(capsys.readouterr().err.split())
+
+
 def test_a_device_with_two_image_sizes_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folders = [write_capture(tmp_path / name) for name in ("a-p", "b-p")]
     listing = folders[1] / "capture.yaml"
