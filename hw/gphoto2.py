@@ -19,6 +19,7 @@ from pydantic import Field
 from calib.numerics import Image
 from hw.cameras import CameraInfo, not_found, refuse_other_setting, refuse_other_size
 from hw.errors import DeviceError, FrameLostError
+from hw.motion_jpeg import is_whole_jpeg
 from hw.optional_parts import GPHOTO2
 from hw.rig import Capabilities, Frame
 from hw.settings import USUAL_EXPOSURE_US, CameraRigSettings
@@ -30,7 +31,6 @@ _FORMAT, _MODE, _BATTERY = ("imageformat", "imagequality"), ("autoexposuremode",
 _FOCUS, _TARGET = ("focusmode",), ("capturetarget",)
 _IN_MEMORY = ("Internal RAM", "sdram")  # frames need no card there
 _RAW = ("raw", "nef")
-_START_OF_SCAN, _END_OF_IMAGE = b"\xff\xda", b"\xff\xd9"
 _CARD_ADVICE = "Put in a card with room, unlocked, or empty this one."
 _ADVICE = {
     "GP_ERROR_IO_USB_CLAIM": "Another program has it: close it, or unmount the camera in the file manager.",
@@ -307,8 +307,7 @@ def _seconds(shutter_speed: str) -> float | None:
 
 def _decoded(content: bytes) -> Any:
     """The image of a JPEG file, (H, W, 3) in BGR; None if it is empty, cut off, or cannot be decoded."""
-    # The last scan is followed by the end of the image; a preview before it has its own of both (ITU-T T.81, annex B).
-    if not content.rfind(_START_OF_SCAN) < content.rfind(_END_OF_IMAGE):
+    if not is_whole_jpeg(content):
         return None
     try:
         return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)

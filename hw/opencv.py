@@ -3,10 +3,12 @@
 import os
 import re
 import sys
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from functools import partial
+from math import inf
 from pathlib import Path
 from threading import Thread
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -18,6 +20,7 @@ from pydantic import Field, StringConstraints, model_validator
 from calib.numerics import Image
 from hw.cameras import CameraInfo, refuse_other_setting, refuse_other_size
 from hw.errors import DeviceError
+from hw.motion_jpeg import MotionJpegStream, open_motion_jpeg
 from hw.rig import Capabilities, Frame
 from hw.settings import CameraRigSettings
 from hw.timing.devices import whole_periods
@@ -127,7 +130,7 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
         self._local = isinstance(settings.camera, int)
         self.name = f"webcam {settings.camera}" if self._local else str(settings.camera)
         self._refresh_hz = refresh_hz
-        self._capture = _interruptible(partial(self._opened, settings.camera))
+        self._capture: cv2.VideoCapture | MotionJpegStream = self._connected(settings.camera)
         try:
             self._shape: tuple[int, ...] | None = None
             self._exposure_us: float | None = None
@@ -171,6 +174,21 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
         """The next frame of the stream. Raises DeviceError."""
         arrival = self.reader.following(self.reader.newest)
         return Frame(arrival.image, self.exposure_us, arrival.timestamp_ns)
+
+    def _connected(self, camera: int | str) -> cv2.VideoCapture | MotionJpegStream:
+        """Motion JPEG over HTTP is read here, within limits that OpenCV does not have; OpenCV opens all others."""
+        if isinstance(camera, str) and camera.lower().startswith(("http://", "https://")):
+            limit_s = 1e-3 * _OPENING_MS
+            try:
+                stream = _interruptible(partial(open_motion_jpeg, self.name, camera, self.size, limit_s), limit_s)
+            except TimeoutError:  # it answers, but does not come to an end
+                raise DeviceError(
+                    f"camera {self.name}: no whole answer within {limit_s:.3g} s. Check that the rig's camera is the "
+                    "address of its stream; rerun."
+                ) from None
+            if stream is not None:
+                return stream
+        return _interruptible(partial(self._opened, camera))
 
     def _opened(self, camera: int | str) -> cv2.VideoCapture:
         if isinstance(camera, int):
@@ -249,13 +267,14 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
         return image
 
 
-def _interruptible(work: Callable[[], Result]) -> Result:
-    """The result of a call of OpenCV, which does not return for Ctrl-C.
+def _interruptible(work: Callable[[], Result], limit_s: float | None = None) -> Result:
+    """The result of a call that does not return for Ctrl-C. Raises TimeoutError after `limit_s`.
 
-    After that, its thread goes on to the library's own limit; the process waits for it when everything else is done,
-    because a thread that returns while the interpreter ends would abort it.
+    Without a limit it is a call of OpenCV, whose thread goes on to the library's own limit; the process waits for it
+    when everything else is done, because a thread of it that returns while the interpreter ends would abort it.
     """
     done = Future[Result]()
+    deadline_s = inf if limit_s is None else time.monotonic() + limit_s + _SLICE_S
 
     def run() -> None:
         try:
@@ -263,10 +282,10 @@ def _interruptible(work: Callable[[], Result]) -> Result:
         except BaseException as error:
             done.set_exception(error)
 
-    Thread(target=run, name="opening").start()
+    Thread(target=run, name="opening", daemon=limit_s is not None).start()
     while True:
         try:
             return done.result(_SLICE_S)
         except TimeoutError:
-            if done.done():
+            if done.done() or time.monotonic() > deadline_s:
                 raise

@@ -104,7 +104,6 @@ def test_an_absent_or_silent_camera_is_named(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(
     ("camera", "attempts"),
     [
-        ("http://127.0.0.1:9/video", 1),
         ("rtsp://127.0.0.1:9/video", 1),
         ("rtspsrc location=rtsp://127.0.0.1:9/video ! decodebin ! appsink", 2),
     ],
@@ -149,7 +148,7 @@ def test_an_interruption_does_not_wait_for_a_silent_camera(
 
     monkeypatch.setattr(cv2, "VideoCapture", open_capture)
     with pytest.raises(KeyboardInterrupt):
-        opencv.connect(OpenCVRigSettings(backend="opencv", camera="http://phone/video"), SIZE, 60.0)
+        opencv.connect(OpenCVRigSettings(backend="opencv", camera="rtsp://phone/video"), SIZE, 60.0)
     assert begun.is_set()
     assert not may_end.is_set()
     may_end.set()

@@ -95,13 +95,17 @@ def changed(change: Callable[[np.ndarray], np.ndarray | None]) -> Callable[[Phon
     [
         (
             changed(lambda image: cv2.rotate(image, cv2.ROTATE_90_CLOCKWISE)),
+            "expected frames of 160 × 120, but it delivers 120 × 160",
+        ),
+        (
+            changed(lambda image: cv2.rotate(image, cv2.ROTATE_180)),
             "it sees another picture than when the capture began",
         ),
         (changed(repeated()), "its picture is frozen"),
         (changed(lambda _: None), "no frame for 1 s"),
         (lambda phone: phone.stop(), "its stream has ended"),
     ],
-    ids=["rotated", "frozen", "silent", "gone"],
+    ids=["another size", "rotated", "frozen", "silent", "gone"],
 )
 def test_a_camera_failure_during_a_scan_is_named(
     config: Path,

@@ -35,7 +35,7 @@ class Phone:
         self._thread = Thread(target=self._run, daemon=True)
         self.changed: Callable[[np.ndarray], np.ndarray | None] = lambda image: image
         self.shown = 0
-        self._light: np.ndarray = np.zeros((1, 1))
+        self._light: np.ndarray | None = None
 
     def __enter__(self) -> Self:
         self.connect()
@@ -65,6 +65,8 @@ class Phone:
     def _run(self) -> None:
         waiting: deque[np.ndarray] = deque()
         while not self._ending.wait(PERIOD_S):
+            if self._light is None:
+                continue
             seen = self._light[:, :, None] * (0.8, 1.0, 0.9) + _NOISE * self._rng.standard_normal(
                 (*self._light.shape, 3)
             )
