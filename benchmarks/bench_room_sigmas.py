@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.geometry import Plane
 from calib.numerics import Floats, Ints
 from calib.refinement import Cells, Knowledge, Shifts, State, into_cells
-from calib.rooms import RigPrior, Room, RoomEstimate, RoomPlane, angle_deg, estimate_room
+from calib.rooms import RigPrior, Room, RoomEstimate, angle_deg, estimate_room
 from hw.errors import DeviceError
 
 sys.path.append(str(Path(__file__).parents[1]))
@@ -55,9 +56,9 @@ class Made:
         number = np.full(int(max(each.surface.max() for each in true)) + 1, -1, np.int32)
         number[surface] = np.arange(len(surface))
 
-        def plane(k: int) -> RoomPlane:
+        def plane(k: int) -> Plane:
             at = scene.points_on(k, np.zeros((2, 1)))[:, 0] - first.translation
-            return RoomPlane(first.rotation.T @ normals[k], float(normals[k] @ at) / rig.baseline)
+            return Plane(first.rotation.T @ normals[k], float(normals[k] @ at) / rig.baseline)
 
         places = tuple((first.inverse() @ station.place).scaled(1 / rig.baseline) for station in true)
         devices = device_of(rig.camera), device_of(rig.projector)

@@ -10,7 +10,7 @@ from calib.boards import State as BoardState
 from calib.boards.likelihood import BoardVariances, device_prior
 from calib.boards.likelihood import evaluate as evaluate_boards
 from calib.boards.parameters import PlacedBoard, device_of
-from calib.geometry import Matches
+from calib.geometry import Matches, Plane
 from calib.networks import Device, Network, PlaneObservation
 from calib.networks.prior import NetworkKnowledge
 from calib.numerics import Floats
@@ -27,7 +27,7 @@ from calib.refinement import (
     predict,
 )
 from calib.refinement import device_of as rig_device_of
-from calib.rooms import Patch, Room, RoomPlane, RoomPrior
+from calib.rooms import Patch, Room, RoomPrior
 from calib.rooms.likelihood import evaluate as evaluate_room
 from calib.self_calibration import anywhere
 from calib.synthetic import SyntheticBoards, SyntheticCapture, SyntheticNetwork, SyntheticPhotos
@@ -154,7 +154,7 @@ def bound_of_network(made: SyntheticNetwork, names: Sequence[str], noise_px: flo
     ]
     normals, offsets = made.planes
     planes = zip(normals @ frame.rotation, (offsets - normals @ frame.translation) / unit, strict=True)
-    truth = Network(tuple(devices), tuple(RoomPlane(normal, float(offset)) for normal, offset in planes))
+    truth = Network(tuple(devices), tuple(Plane(normal, float(offset)) for normal, offset in planes))
     sights, variances = [], []
     for i, ((camera, projector), matches) in enumerate(made.captures.items()):
         labels = np.flatnonzero(np.bincount(matches.labels) >= _LEAST_ON_PLANE).tolist()

@@ -16,7 +16,7 @@ from calib.diagnostics.uncertainty import Uncertainty, moved_calibration
 from calib.finding import FindingKind
 from calib.geometry import Calibration, Matches, intersect, midpoints
 from calib.numerics import Floats, Ints
-from calib.pointcloud import Plane, by_projector_px
+from calib.pointcloud import FittedPlane, by_projector_px
 from calib.refusal import NoMeasurementError
 
 _STEP_PX = 0.01  # step in projector pixels, for derivatives
@@ -272,7 +272,7 @@ def _thinned(influence: Floats, cluster: Ints) -> tuple[Ints, Floats]:
     return order[middles], np.add.reduceat(influence[:, order], starts, axis=1)
 
 
-def spread_of_vertex(planes: Sequence[Plane], spreads: Sequence[Spread]) -> tuple[Floats, Spread]:
+def spread_of_vertex(planes: Sequence[FittedPlane], spreads: Sequence[Spread]) -> tuple[Floats, Spread]:
     """The intersection (3,) of three planes, and its errors."""
     normals = np.stack([plane.normal for plane in planes])
     vertex: Floats = np.linalg.solve(normals, np.array([plane.offset for plane in planes]))

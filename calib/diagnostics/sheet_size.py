@@ -12,7 +12,7 @@ from calib.diagnostics.error_propagation import LinearFit, SystematicErrors, spr
 from calib.diagnostics.uncertainty import Uncertainty, moved_calibration
 from calib.geometry import Calibration, Matches, intersect
 from calib.numerics import Floats, blocks
-from calib.pointcloud import Plane, fit_plane
+from calib.pointcloud import FittedPlane, fit_plane
 from calib.refinement import SHARED
 
 _ALIKE_OF_WIDTH = 1 / 64  # errors of neighbours within this share of the picture correlate
@@ -66,14 +66,14 @@ def size_of_sheet(
     return SheetSize(on_plane.log_length, float(noise), by_columns)
 
 
-def _through(points: Floats, pixels: Floats, matches: Matches, plane: Plane, calibration: Calibration) -> float:
+def _through(points: Floats, pixels: Floats, matches: Matches, plane: FittedPlane, calibration: Calibration) -> float:
     """The logarithm of the length by another calibration, with the matches weighted as they were."""
     shift = plane.influence @ ((intersect(matches, calibration).points - plane.centre) @ plane.normal - plane.residual)
     normal, offset = _moved(plane, shift)
     return _on_plane(points, pixels, normal, offset, calibration).log_length
 
 
-def _moved(plane: Plane, step: Floats) -> tuple[Floats, float]:
+def _moved(plane: FittedPlane, step: Floats) -> tuple[Floats, float]:
     """Normal and offset of a plane after a step (3,) of its two tilts and its shift."""
     normal = plane.normal - step[:2] @ plane.tangents
     offset = float(normal @ plane.centre + step[2])
@@ -81,7 +81,7 @@ def _moved(plane: Plane, step: Floats) -> tuple[Floats, float]:
     return normal / length, offset / length
 
 
-def _by_plane(points: Floats, pixels: Floats, plane: Plane, calibration: Calibration) -> Floats:
+def _by_plane(points: Floats, pixels: Floats, plane: FittedPlane, calibration: Calibration) -> Floats:
     """Derivatives (3,) of the logarithm of the length by the plane's parameters."""
     gradient = np.zeros(3)
     for index, size in enumerate((_STEP, _STEP, _STEP * abs(plane.offset))):

@@ -22,7 +22,7 @@ from calib.numerics import (
     orthonormal_polynomials,
     robust_covariance,
 )
-from calib.pointcloud import Plane, Sphere
+from calib.pointcloud import FittedPlane, Sphere
 
 # Variance of a camera pixel's footprint along rows and along columns: the pixel, and a blur of half a pixel.
 _FOOTPRINT_PX2 = 1 / 12 + 1 / 4
@@ -89,7 +89,7 @@ class PlaneForm:
         return float(np.linalg.norm(self.amplitudes))
 
 
-def plane_form(plane: Plane, camera_px: Floats, cluster: Ints) -> PlaneForm:
+def plane_form(plane: FittedPlane, camera_px: Floats, cluster: Ints) -> PlaneForm:
     """The form of the points that a plane was fitted to, at pixels (N, 2); errors correlate in a `cluster` (N,)."""
     terms = monomials(camera_px)[:, _LINEAR:CUBIC]
     basis = orthonormal(np.concatenate([plane.jacobian.T, terms.T]).T)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import IDENTITY, NO_FACE, Matches
+from calib.geometry import IDENTITY, NO_FACE, Matches, Plane
 from calib.networks.network import Device, Network
 from calib.networks.overlaps import Overlaps, PairName, pixels_of
 from calib.networks.placement import placed, placed_before_wall, sees, triangulated
@@ -19,7 +19,6 @@ from calib.networks.shared_points import SharedPoints
 from calib.networks.sights import PlaneObservation, points_on
 from calib.numerics import Bools, Floats, evenly
 from calib.refinement import device_of, into_cells
-from calib.rooms import RoomPlane, plane_through
 from calib.rooms.likelihood import minimise
 from calib.self_calibration import SelfCalibration
 
@@ -178,7 +177,7 @@ class Grown:
             some = matches[evenly(new, _SAMPLE)]
             points = triangulated(devices[0], devices[1], some.camera_px, some.projector_px)
             points = points[np.isfinite(points).all(axis=1)]
-            found = plane_through(points, np.ones(len(points)), devices[0].pose.translation)
+            found = Plane.through(points, np.ones(len(points)), devices[0].pose.translation)
             if not _in_front(found, devices[0], devices[1], some.camera_px):
                 continue
             same = [k for k, plane in enumerate(planes) if _alike(plane, found, points, devices[0].pose.translation)]
@@ -210,14 +209,14 @@ class Grown:
         return replace(self, network=network)
 
 
-def _in_front(plane: RoomPlane, camera: Device, projector: Device, camera_px: Floats) -> bool:
+def _in_front(plane: Plane, camera: Device, projector: Device, camera_px: Floats) -> bool:
     """Whether nearly all of what a camera sees of a plane is before it and before a projector."""
     points = points_on(camera_px, camera, plane)
     ahead = [device.pose.undo(points)[:, 2] > 0 for device in (camera, projector)]
     return bool(np.mean(np.logical_and(*ahead)) > _NEARLY_ALL)
 
 
-def _alike(plane: RoomPlane, found: RoomPlane, points: Floats, eye: Floats) -> bool:
+def _alike(plane: Plane, found: Plane, points: Floats, eye: Floats) -> bool:
     """Whether a plane that was found through points (N, 3) may be one that is known; wrong ties are found later."""
-    off = np.abs(points @ plane.normal - plane.offset) / np.linalg.norm(points - eye, axis=1)
+    off = np.abs(plane.heights(points)) / np.linalg.norm(points - eye, axis=1)
     return bool(abs(plane.normal @ found.normal) > _PARALLEL and np.median(off) < _ON_PLANE)

@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.geometry import Pose, Size, project, unproject
+from calib.geometry import PER_PLANE, Plane, Pose, Size, project, unproject
 from calib.numerics import Floats
 from calib.refinement import PER_DEVICE, moved_device
-from calib.rooms import PER_PLANE, RoomPlane
-from calib.rooms.room import PER_PLACE, moved_plane
+from calib.rooms.room import PER_PLACE
 
 PER_WARP = 4
 PER_NODE = PER_DEVICE + PER_PLACE + PER_WARP
@@ -90,7 +89,7 @@ class Network:
     """All devices and planes."""
 
     devices: tuple[Device, ...]
-    planes: tuple[RoomPlane, ...]
+    planes: tuple[Plane, ...]
 
     @property
     def size(self) -> int:
@@ -110,5 +109,5 @@ class Network:
         """The network after a step (size,) in the columns' coordinates."""
         return Network(
             tuple(device.moved(step[self.device_columns(i)]) for i, device in enumerate(self.devices)),
-            tuple(moved_plane(plane, step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
+            tuple(plane.retract(step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
         )

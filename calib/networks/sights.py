@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Pose, cross_matrix, tangent_basis
+from calib.geometry import PER_PLANE, Plane, Pose, cross_matrix, tangent_basis
 from calib.networks.network import PER_NODE, PER_WARP, WARP, Device, Network
 from calib.numerics import Floats, Ints
 from calib.refinement import PER_DEVICE, Cells
-from calib.rooms import PER_PLANE, RoomPlane
 
 PER_SIGHT = 2 * PER_NODE + PER_PLANE
 _AXES = np.eye(3)
@@ -56,7 +55,7 @@ class PlaneObservation:
         plane = network.planes[self.plane]
         rays, by_lens, by_warp = camera.rays(self.cells.camera_px if camera_px is None else camera_px)
         along, depth = _meet(rays, camera.pose, plane)
-        off = along * (plane.offset - float(plane.normal @ camera.pose.translation))
+        off = along * plane.offset_from(camera.pose.translation)
         points = off + camera.pose.translation
         onto = np.eye(3) - along[:, :, None] * plane.normal
         tilts = -along[:, :, None] * (points @ tangent_basis(plane.normal))[:, None]
@@ -85,15 +84,15 @@ class PlaneObservation:
         return pixels, jacobian, np.stack([depth, before[:, 2]], axis=1)
 
 
-def points_on(pixels: Floats, device: Device, plane: RoomPlane) -> Floats:
+def points_on(pixels: Floats, device: Device, plane: Plane) -> Floats:
     """Where the rays of a device's pixels (N, 2) meet a plane, (N, 3) in the room's frame."""
     rays, _, _ = device.rays(pixels)
     _, depth = _meet(rays, device.pose, plane)
     return device.pose @ (rays * depth[:, None])
 
 
-def _meet(rays: Floats, pose: Pose, plane: RoomPlane) -> tuple[Floats, Floats]:
+def _meet(rays: Floats, pose: Pose, plane: Plane) -> tuple[Floats, Floats]:
     """Rays in the room's frame scaled to n · u = 1, (N, 3), and the depths at which they meet the plane, (N,)."""
     turned = pose.rotate(rays)
     facing = turned @ plane.normal
-    return turned / facing[:, None], (plane.offset - float(plane.normal @ pose.translation)) / facing
+    return turned / facing[:, None], plane.offset_from(pose.translation) / facing

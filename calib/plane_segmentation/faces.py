@@ -46,14 +46,15 @@ NO_PERPENDICULAR_PLANES = FindingKind(
 
 
 @dataclass(frozen=True)
-class Plane:
-    """`homography` (3, 3): camera → projector, for pixels from which the estimated lens distortion has been removed;
-    `matches`: how many lie on it; `face`: 0, 1 or 2 if it is a face of the corner.
-    """
+class PlaneHomography:
+    """What a plane is before anything is calibrated."""
 
     homography: Floats
+    """(3, 3): camera → projector, for pixels from which the estimated lens distortion has been removed."""
     matches: int
+    """How many lie on it."""
     face: int | None
+    """0, 1 or 2 if it is a face of the corner."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Faces:
     """
 
     matches: Matches
-    planes: tuple[Plane, ...]
+    planes: tuple[PlaneHomography, ...]
     plane: Ints
 
 
@@ -188,7 +189,9 @@ def _faces(matches: Matches, segments: Segments, plane: Ints, counts: Ints, corn
         homography = np.linalg.inv(to_projector) @ view.homography(planes[index]) @ to_camera
         face = int(face_of[index])
         listed.append(
-            Plane(homography / np.linalg.norm(homography), int(counts[index]), None if face == NO_FACE else face)
+            PlaneHomography(
+                homography / np.linalg.norm(homography), int(counts[index]), None if face == NO_FACE else face
+            )
         )
     label = np.empty_like(plane)
     in_pieces(len(plane), lambda at: _renumber(rank, face_of, plane[at], label[at]))

@@ -7,7 +7,7 @@ from calib.pointcloud.merged_cloud import MergedCloud, merged
 from calib.pointcloud.normals import surface
 from calib.pointcloud.organised_cloud import Cloud, CloudStatistics, build_cloud, colours_of
 from calib.pointcloud.pixel_grid import NONE, density, grid_step, index_grid, without_gaps
-from calib.pointcloud.plane_fit import Plane, dihedral_angle_rad, dihedral_gradients, fit_plane
+from calib.pointcloud.plane_fit import FittedPlane, dihedral_angle_rad, dihedral_gradients, fit_plane
 from calib.pointcloud.sphere_fit import Sphere, fit_sphere
 from calib.pointcloud.sphere_ransac import OrganisedPoints, find_sphere, image_radius_px
 from calib.pointcloud.triangulation_errors import by_projector_px, point_covariances

@@ -4,28 +4,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.geometry import Plane
 from calib.numerics import Floats, Ints, biweight, influence_on, robust_covariance
 
 _STEPS = 20
 _CONVERGED = 1e-10
 
 
-@dataclass(frozen=True)
-class Plane:
-    """The points X with `normal` · X = `offset`; `normal` (3,) has unit length and faces the origin, so offset < 0.
+@dataclass(frozen=True, eq=False)
+class FittedPlane(Plane):
+    """A plane that faces the origin, so that its offset is negative, with the covariance of its parameters.
 
-    Its parameters are two tilts and a shift around `centre` (3,): the normal becomes `normal` − tilt · `tangents`
-    (2, 3), and the plane moves by the shift along it. `covariance` (3, 3) is theirs; `jacobian` (N, 3): derivatives of
-    the plane's height at each point. `residual` (N,): signed distance of each point, positive on the origin's side.
+    They are two tilts and a shift around `centre`: the normal becomes `normal` − tilt · `tangents`, and the plane moves
+    by the shift along it.
     """
 
-    normal: Floats
-    offset: float
     centre: Floats
+    """(3,): the points' weighted mean."""
     tangents: Floats
+    """(2, 3): directions in the plane."""
     jacobian: Floats
+    """(N, 3): derivatives of the plane's height at each point by the parameters."""
     covariance: Floats
+    """(3, 3): of the parameters."""
     residual: Floats
+    """(N,): signed distances of the points, positive on the origin's side."""
 
     @property
     def influence(self) -> Floats:
@@ -33,7 +36,7 @@ class Plane:
         return influence_on(self.jacobian, self.residual)
 
 
-def fit_plane(points: Floats, cluster: Ints) -> Plane:
+def fit_plane(points: Floats, cluster: Ints) -> FittedPlane:
     """Minimise the points' (N, 3) distances from the plane with Tukey's weights.
 
     `cluster` (N,): labels from 0 of points whose errors may correlate. Raises ValueError for fewer than three points,
@@ -60,10 +63,10 @@ def fit_plane(points: Floats, cluster: Ints) -> Plane:
     covariance = robust_covariance(jacobian, residual, cluster)
     offset = float(normal @ centre)
     sign = -1.0 if offset > 0 else 1.0
-    return Plane(sign * normal, sign * offset, centre, axes[:, 1:].T, jacobian, covariance, sign * residual)
+    return FittedPlane(sign * normal, sign * offset, centre, axes[:, 1:].T, jacobian, covariance, sign * residual)
 
 
-def dihedral_angle_rad(first: Plane, second: Plane) -> tuple[float, float]:
+def dihedral_angle_rad(first: FittedPlane, second: FittedPlane) -> tuple[float, float]:
     """The angle between two faces, on the side of the origin, and its standard deviation, in radians.
 
     In a room that is the angle of its corner; the angle of a box seen from outside is 2π minus this.
@@ -76,7 +79,7 @@ def dihedral_angle_rad(first: Plane, second: Plane) -> tuple[float, float]:
     return float(np.pi - np.arccos(cosine)), float(np.sqrt(variance))
 
 
-def dihedral_gradients(first: Plane, second: Plane) -> tuple[Floats, Floats]:
+def dihedral_gradients(first: FittedPlane, second: FittedPlane) -> tuple[Floats, Floats]:
     """Derivatives (3,) of the angle between two faces by the parameters of either."""
     cosine = float(np.clip(first.normal @ second.normal, -1, 1))
     sine = max(float(np.sqrt(1 - cosine**2)), 1e-12)

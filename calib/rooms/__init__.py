@@ -7,7 +7,6 @@ from calib.rooms.lengths import Measured, RoomPoint, angle_deg, centre_of, dista
 from calib.rooms.marks import Marks, marks_of
 from calib.rooms.misfits import ANOTHER_ROOM, SOMETHING_MOVED
 from calib.rooms.patches import Patch
-from calib.rooms.planes import PER_PLANE, RoomPlane, plane_through
 from calib.rooms.point_tracking import LabelledPicture
 from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.registration import (

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.geometry import Matches, Pose
+from calib.geometry import Matches, Plane, Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, State, covariance_of
 from calib.rooms.contacts import Contact, find_contacts
@@ -18,7 +18,6 @@ from calib.rooms.flatness import covariance_of_waves
 from calib.rooms.likelihood import Fit, minimise
 from calib.rooms.noise import NoiseLevels, measured, rough_levels
 from calib.rooms.patches import Patch, patches_of
-from calib.rooms.planes import RoomPlane
 from calib.rooms.point_tracking import LabelledPicture, find_tracks
 from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
@@ -99,7 +98,7 @@ def estimate_room(
     stations: Sequence[Cells],
     plane_of: Sequence[Sequence[int]],
     places: Sequence[Pose],
-    planes: Sequence[RoomPlane],
+    planes: Sequence[Plane],
     start: State,
     prior: RigPrior,
     *,

@@ -52,9 +52,9 @@ def gap(estimate: RoomEstimate, first: int, second: int) -> Measured:
     room = estimate.room
     plane, opposite = room.planes[first], room.planes[second]
     middle = (centre_of(estimate, first) + centre_of(estimate, second)) / 2
-    above = float(plane.normal @ middle - plane.offset)
+    above = float(plane.heights(middle))
     foot = middle - above * plane.normal
-    signed = float(opposite.normal @ foot - opposite.offset)
+    signed = float(opposite.heights(foot))
     gradient = np.zeros(room.size)
     columns, basis = room.plane_columns(first), tangent_basis(plane.normal)
     facing = float(opposite.normal @ plane.normal)

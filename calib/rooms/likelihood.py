@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
+from calib.geometry import PER_PLANE, Plane
 from calib.numerics import Bools, Damping, Floats, Ints, Quadratic, descend
 from calib.refinement import Cells, misfit
-from calib.rooms.planes import PER_PLANE, RoomPlane
 
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
 _STEPS = 60
@@ -30,7 +30,7 @@ class Layout(Protocol):
         """Number of columns."""
 
     @property
-    def planes(self) -> tuple[RoomPlane, ...]:
+    def planes(self) -> tuple[Plane, ...]:
         """All planes."""
 
     def plane_columns(self, plane: int) -> slice:

@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Intrinsics, tangent_basis
+from calib.geometry import Intrinsics, Plane, tangent_basis
 from calib.numerics import Floats, Image, Ints
-from calib.rooms.planes import RoomPlane
 
 _DARKEST = 0.02  # share of the brightest level; logarithms of less are noise
 _BORDER_PX = 5
@@ -79,7 +78,7 @@ def marks_of(
     picture: Image,
     points: NDArray[np.float32],
     labels: NDArray[np.int32],
-    planes: tuple[RoomPlane, ...],
+    planes: tuple[Plane, ...],
     camera: Intrinsics,
 ) -> Marks:
     """Of the lit scene's picture (H, W) or (H, W, 3), on planes as of `StationView`.
@@ -137,7 +136,7 @@ def _clearly_nearest(product: NDArray[np.float32]) -> Ints:
 
 
 def _on_plane(
-    light: NDArray[np.uint8], on_plane: NDArray[np.bool_], own: Floats, label: int, plane: RoomPlane, camera: Intrinsics
+    light: NDArray[np.uint8], on_plane: NDArray[np.bool_], own: Floats, label: int, plane: Plane, camera: Intrinsics
 ) -> Marks:
     """`on_plane` (H, W): the plane's pixels, whose points are `own` (N, 3)."""
     axes = tangent_basis(plane.normal)

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import cross, tangent_basis, unproject
+from calib.geometry import PER_PLANE, cross, tangent_basis, unproject
 from calib.numerics import Floats, Ints
 from calib.refinement import PER_CORNER, PER_POSE, SHARED, Cells, FurtherPlane, PlacedCorner, predict
-from calib.rooms.planes import PER_PLANE
 from calib.rooms.room import PER_PLACE, Room
 
 OWN = slice(SHARED, SHARED + PER_PLANE)  # columns of a patch for its plane in the camera's frame
@@ -44,7 +43,7 @@ class Patch:
         place, plane = room.places[self.station], room.planes[self.plane]
         pixels = self.cells.camera_px if camera_px is None else camera_px
         axes = np.stack([plane.normal, *tangent_basis(plane.normal).T]) @ place.rotation
-        height = plane.offset - float(plane.normal @ place.translation)
+        height = plane.offset_from(place.translation)
         free = (np.inf, np.inf)
         corner = PlacedCorner(np.eye(3), np.zeros(3), planes=(FurtherPlane(axes, np.zeros(2), height, free),))
         state = replace(room.rig, off_square=np.zeros((1, PER_CORNER)), corners=(corner,))

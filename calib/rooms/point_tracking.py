@@ -134,7 +134,7 @@ def _common(
         place = room.places[station]
         rays, _ = unproject(room.rig.camera, step * np.stack([column, row], axis=1).astype(np.float64))
         turned = place.rotate(rays)
-        depth = (wall.offset - float(wall.normal @ place.translation)) / (turned @ wall.normal)
+        depth = wall.depths(turned, place.translation)
         at = (depth[:, None] * turned + place.translation) @ axes
         lows.append(np.percentile(at, 1, axis=0))
         highs.append(np.percentile(at, 99, axis=0))

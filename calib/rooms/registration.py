@@ -7,13 +7,12 @@ from itertools import combinations
 import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
-from calib.geometry import IDENTITY, Pose
+from calib.geometry import IDENTITY, Plane, Pose
 from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
 from calib.rooms.alignment import normal_equations
 from calib.rooms.assembly import Assembly, Edges, assemble
 from calib.rooms.hypotheses import hypotheses, judged, refined
 from calib.rooms.misfits import ANOTHER_ROOM, worst_misfit
-from calib.rooms.planes import RoomPlane
 from calib.rooms.shared_planes import shared_planes
 from calib.rooms.station import StationView
 from calib.rooms.surfaces import Surfaces, surfaces_of
@@ -55,7 +54,7 @@ class Group:
 
     stations: tuple[int, ...]
     places: tuple[Pose, ...]
-    planes: tuple[RoomPlane, ...]
+    planes: tuple[Plane, ...]
     plane_of: tuple[tuple[int, ...], ...]
     alternatives: tuple[AlternativePlaces, ...]
     ahead_nats: float

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Pose, tangent_basis
+from calib.geometry import PER_PLANE, Plane, Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, State
-from calib.rooms.planes import PER_PLANE, RoomPlane
 
 PER_PLACE = 6
 
@@ -25,7 +24,7 @@ class Room:
 
     rig: State
     places: tuple[Pose, ...]
-    planes: tuple[RoomPlane, ...]
+    planes: tuple[Plane, ...]
 
     @property
     def size(self) -> int:
@@ -46,7 +45,7 @@ class Room:
         return Room(
             self.rig.moved(step[:SHARED]),
             tuple(place.retract(step[self.place_columns(i)]) for i, place in enumerate(self.places)),
-            tuple(moved_plane(plane, step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
+            tuple(plane.retract(step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
         )
 
     def step_to(self, other: "Room") -> Floats:
@@ -56,12 +55,5 @@ class Room:
         for i, (here, there) in enumerate(zip(self.places, other.places, strict=True)):
             step[self.place_columns(i)] = here.local(there)
         for i, (plane, true) in enumerate(zip(self.planes, other.planes, strict=True)):
-            tilt = tangent_basis(plane.normal).T @ true.normal / (plane.normal @ true.normal)
-            step[self.plane_columns(i)] = [*tilt, true.offset - plane.offset]
+            step[self.plane_columns(i)] = plane.local(true)
         return step
-
-
-def moved_plane(plane: RoomPlane, step: Floats) -> RoomPlane:
-    """A plane after a step (3,): two tilts along `tangent_basis` of its normal, and its offset."""
-    tilted = plane.normal + tangent_basis(plane.normal) @ step[:2]
-    return RoomPlane(tilted / np.sqrt(tilted @ tilted), plane.offset + float(step[2]))

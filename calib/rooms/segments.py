@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.geometry import Plane
 from calib.numerics import Bools, Floats, Ints, robust_sigma
-from calib.rooms.planes import RoomPlane, plane_through
 
 NO_PLANE = -1
 # Largest distance of a point from its plane: relative to its depth, for calibration errors, and in sigmas.
@@ -37,9 +37,9 @@ class _Cells:
     tolerance: Floats
     area: Floats
 
-    def on(self, plane: RoomPlane) -> Bools:
+    def on(self, plane: Plane) -> Bools:
         """Which cells (N,) lie on a plane with the same slope."""
-        off: Bools = np.abs(self.centre @ plane.normal - plane.offset) < self.tolerance
+        off: Bools = np.abs(plane.heights(self.centre)) < self.tolerance
         like: Bools = off & (self.normal @ plane.normal > _LIKE_CELL)
         return like
 
@@ -58,7 +58,7 @@ def relative_noise(points: NDArray[np.float32], normals: NDArray[np.float32]) ->
 
 def find_segments(
     points: NDArray[np.float32], normals: NDArray[np.float32], noise: float
-) -> tuple[NDArray[np.int32], tuple[RoomPlane, ...]]:
+) -> tuple[NDArray[np.int32], tuple[Plane, ...]]:
     """The plane of each pixel (H, W), NO_PLANE for none, and the planes, the one with most surface first.
 
     `points`, `normals` (H, W, 3) in the camera's frame, normals towards the camera; `noise` as of `relative_noise`.
@@ -70,7 +70,7 @@ def find_segments(
     for label in range(len(planes)):
         own = np.flatnonzero(labels.ravel() == label)
         some = points.reshape(-1, 3)[own[:: max(1, len(own) // _FITTED)]].astype(np.float64)
-        fitted.append(plane_through(some, 1 / (noise * some[:, 2] ** 2 + _BENT / _SIGMAS * some[:, 2]) ** 2))
+        fitted.append(Plane.through(some, 1 / (noise * some[:, 2] ** 2 + _BENT / _SIGMAS * some[:, 2]) ** 2))
     return labels, tuple(fitted)
 
 
@@ -107,12 +107,12 @@ def _cells(points: NDArray[np.float32], normals: NDArray[np.float32], noise: flo
     return _Cells(centre[good], normal[good], tolerance[good], area[good])
 
 
-def _planes_of(cells: _Cells) -> list[RoomPlane]:
+def _planes_of(cells: _Cells) -> list[Plane]:
     """The one with most cells first."""
     rng = np.random.default_rng(0)
     free = np.ones(len(cells.area), np.bool_)
     fewest = max(8, _LEAST_SHARE * len(free))
-    planes: list[RoomPlane] = []
+    planes: list[Plane] = []
     failures = 0
     while len(planes) < _MOST_PLANES and failures < 3 and np.count_nonzero(free) >= fewest:
         best, most = None, 0
@@ -125,7 +125,7 @@ def _planes_of(cells: _Cells) -> list[RoomPlane]:
         if best is None or most < fewest:
             failures += 1
             continue
-        planes.append(plane_through(cells.centre[best], 1 / cells.tolerance[best] ** 2))
+        planes.append(Plane.through(cells.centre[best], 1 / cells.tolerance[best] ** 2))
         free &= ~cells.on(planes[-1])
         free &= ~best
     return planes
@@ -133,14 +133,14 @@ def _planes_of(cells: _Cells) -> list[RoomPlane]:
 
 def _grown(cells: _Cells, free: Bools, seed: int) -> Bools:
     """Free cells (N,) on the plane that grows from a seed."""
-    plane = RoomPlane(cells.normal[seed], float(cells.normal[seed] @ cells.centre[seed]))
+    plane = Plane(cells.normal[seed], float(cells.normal[seed] @ cells.centre[seed]))
     # The first step reaches only as far as a single cell's normal is reliable.
     near = np.linalg.norm(cells.centre - cells.centre[seed], axis=1) < 12 * cells.tolerance[seed]
     inlier: Bools = free & near & cells.on(plane)
     for _ in range(_ROUNDS):
         if np.count_nonzero(inlier) < 4:
             break
-        plane = plane_through(cells.centre[inlier], 1 / cells.tolerance[inlier] ** 2)
+        plane = Plane.through(cells.centre[inlier], 1 / cells.tolerance[inlier] ** 2)
         again: Bools = free & cells.on(plane)
         if np.array_equal(again, inlier):
             break
@@ -149,7 +149,7 @@ def _grown(cells: _Cells, free: Bools, seed: int) -> Bools:
 
 
 def _assigned(
-    points: NDArray[np.float32], normals: NDArray[np.float32], noise: float, planes: list[RoomPlane]
+    points: NDArray[np.float32], normals: NDArray[np.float32], noise: float, planes: list[Plane]
 ) -> NDArray[np.int32]:
     """The plane that each pixel (H, W) is nearest to, without pieces that are too small to be one."""
     height, width = points.shape[:2]
@@ -168,7 +168,7 @@ def _assigned(
     return _by_size(labels, planes)
 
 
-def _part(points: NDArray[np.float32], labels: NDArray[np.int32], label: int, planes: list[RoomPlane]) -> None:
+def _part(points: NDArray[np.float32], labels: NDArray[np.int32], label: int, planes: list[Plane]) -> None:
     """Remove small pieces of a plane, and separate those in front of or behind its largest.
 
     Fronts of two cupboards are often nearly coplanar. `labels` and `planes` are changed in place.
@@ -185,15 +185,15 @@ def _part(points: NDArray[np.float32], labels: NDArray[np.int32], label: int, pl
             break
         at = np.flatnonzero(piece.ravel() == n)
         some = points.reshape(-1, 3)[at[:: max(1, len(at) // _FITTED)]].astype(np.float64)
-        off = float(np.median((some @ plane.normal - plane.offset) / some[:, 2]))
+        off = float(np.median(plane.heights(some) / some[:, 2]))
         if first is None:
             first = off
         elif abs(off - first) > _PARTED:
             labels.ravel()[at] = len(planes)
-            planes.append(plane_through(some, 1 / some[:, 2] ** 2))
+            planes.append(Plane.through(some, 1 / some[:, 2] ** 2))
 
 
-def _by_size(labels: NDArray[np.int32], planes: list[RoomPlane]) -> NDArray[np.int32]:
+def _by_size(labels: NDArray[np.int32], planes: list[Plane]) -> NDArray[np.int32]:
     """Planes numbered again, largest first, those that kept no pixels left out; `planes` in place."""
     count: Ints = np.bincount(labels[labels >= 0], minlength=len(planes))
     order = [int(i) for i in np.argsort(-count, kind="stable") if count[i] > 0]

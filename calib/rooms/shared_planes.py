@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Pose
+from calib.geometry import Plane, Pose
 from calib.numerics import Floats
 from calib.rooms.agreement import compare_one
-from calib.rooms.planes import RoomPlane, plane_through
 from calib.rooms.surfaces import Surfaces
 
 _FEWEST = 6
@@ -28,7 +27,7 @@ class SharedPlanes:
     labels the index of the plane, −1 for a segment with too few patches.
     """
 
-    planes: tuple[RoomPlane, ...]
+    planes: tuple[Plane, ...]
     plane_of: dict[int, tuple[int, ...]]
 
 
@@ -92,7 +91,7 @@ def _one_plane(first: Surfaces, a: int, second: Surfaces, b: int, pose: Pose) ->
     return apart < _APART * (first.distance + second.distance) / 2
 
 
-def _plane(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], members: Sequence[Segment]) -> RoomPlane:
+def _plane(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], members: Sequence[Segment]) -> Plane:
     """Least squares through all patches, distant ones weighing less, in the room's frame."""
     points, weights, eyes = [], [], []
     for k, label in members:
@@ -100,4 +99,4 @@ def _plane(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], members
         points.append(places[k] @ own)
         weights.append(1 / own[:, 2] ** 2)
         eyes.append(places[k].translation)
-    return plane_through(np.concatenate(points), np.concatenate(weights), np.mean(eyes, axis=0))
+    return Plane.through(np.concatenate(points), np.concatenate(weights), np.mean(eyes, axis=0))

@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Intrinsics
+from calib.geometry import Intrinsics, Plane
 from calib.rooms.marks import Marks, no_marks
-from calib.rooms.planes import RoomPlane
 from calib.rooms.segments import find_segments, relative_noise
 
 
@@ -23,7 +22,7 @@ class StationView:
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
     labels: NDArray[np.int32]
-    planes: tuple[RoomPlane, ...]
+    planes: tuple[Plane, ...]
     camera: Intrinsics
     noise: float
     marks: Marks = field(default_factory=no_marks)

@@ -9,10 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry import Calibration, Intrinsics, Matches, TooFewMatchesError
+from calib.geometry import Calibration, Intrinsics, Matches, Plane, TooFewMatchesError
 from calib.numerics import Bools, Ints, evenly
 from calib.refinement import follow_one_plane
-from calib.rooms.planes import RoomPlane, plane_through
 from calib.rooms.segments import NO_PLANE
 from calib.rooms.station import StationView
 
@@ -72,7 +71,7 @@ def _undistorted(matches: Matches, calibration: Calibration) -> tuple[Matches, B
 
 def _with_labels(view: StationView, labels: Ints, straight: Ints, count: int) -> tuple[StationView, Ints]:
     """With planes through the points of each label; labels without points are left out."""
-    planes: list[RoomPlane] = []
+    planes: list[Plane] = []
     renumbered = np.full(count + 1, NO_PLANE, np.int32)
     flat = view.points.reshape(-1, 3)
     for label in range(count):
@@ -81,5 +80,5 @@ def _with_labels(view: StationView, labels: Ints, straight: Ints, count: int) ->
             continue
         renumbered[label] = len(planes)
         points = flat[own].astype(np.float64)
-        planes.append(plane_through(points, 1 / points[:, 2] ** 2))
+        planes.append(Plane.through(points, 1 / points[:, 2] ** 2))
     return replace(view, labels=renumbered[labels], planes=tuple(planes)), renumbered[straight]

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from calib.geometry import PER_PLANE
 from calib.numerics import Bools, Floats
 from calib.refinement import covariance_of
 from calib.rooms.likelihood import PLANE, AnyLayout, AnyPart, Fit, Part
-from calib.rooms.planes import PER_PLANE, RoomPlane
 from calib.rooms.scores import PatchSums, reweighted, score
 
 WRONG_TIE = 30.0  # per degree of freedom, relative to the usual value
@@ -68,6 +68,5 @@ def _score(patches: Sequence[PatchSums], covariance: Floats, step: Floats) -> tu
 def untied(layout: AnyLayout, parts: Sequence[AnyPart], number: int) -> tuple[AnyLayout, tuple[AnyPart, ...]]:
     """One part on a separate plane, added to the layout's, which starts at the common one."""
     part = parts[number]
-    own = layout.planes[part.plane]
-    more = replace(layout, planes=(*layout.planes, RoomPlane(own.normal, own.offset)))
+    more = replace(layout, planes=(*layout.planes, layout.planes[part.plane]))
     return more, (*parts[:number], replace(part, plane=len(layout.planes)), *parts[number + 1 :])

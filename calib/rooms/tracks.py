@@ -4,10 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import cross, tangent_basis, unproject
+from calib.geometry import PER_PLANE, cross, tangent_basis, unproject
 from calib.numerics import Bools, Floats, Ints, by_pixel, huber_loss, huber_weights
 from calib.refinement import CAMERA, ROBUST_SIGMAS, SHARED
-from calib.rooms.planes import PER_PLANE
 from calib.rooms.room import PER_PLACE, Room
 
 _COLUMNS = SHARED + 2 * PER_PLACE + PER_PLANE
@@ -47,7 +46,7 @@ class Track:
             rays, by_camera = unproject(room.rig.camera, pixels)
             turned = place.rotate(rays)
             facing = turned @ plane.normal
-            depth = (plane.offset - float(plane.normal @ place.translation)) / facing
+            depth = plane.offset_from(place.translation) / facing
             at = depth[:, None] * turned
             # A point moves along its ray back to the plane; only the displacement along the plane counts.
             onto = axes.T - (turned @ axes / facing[:, None])[:, :, None] * plane.normal

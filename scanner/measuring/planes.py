@@ -19,7 +19,7 @@ from calib.diagnostics import (
 )
 from calib.geometry import Calibration, Matches, Size, intersect
 from calib.numerics import Floats, Ints, blocks
-from calib.pointcloud import NONE, Plane, dihedral_angle_rad, dihedral_gradients, fit_plane
+from calib.pointcloud import NONE, FittedPlane, dihedral_angle_rad, dihedral_gradients, fit_plane
 from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, FitErrors, MeasuredScene
 from scanner.measuring.scene_errors import known_lengths, rig_errors
 from scanner.quantities import FACE_NAMES
@@ -73,7 +73,7 @@ class _Face:
 
     label: int
     matches: Matches
-    plane: Plane
+    plane: FittedPlane
     form: PlaneForm
     cluster: Ints
     spread: Spread
@@ -97,7 +97,7 @@ def _with_spreads(face: _Face, errors: SystematicErrors) -> _Face:
 
 
 def _spreads(
-    plane: Plane, form: PlaneForm, cluster: Ints, matches: Matches, errors: SystematicErrors
+    plane: FittedPlane, form: PlaneForm, cluster: Ints, matches: Matches, errors: SystematicErrors
 ) -> tuple[Spread, Spread]:
     """Of the plane's parameters, and of its form's: what moves the points is the same for both, and takes long."""
     direction = np.broadcast_to(plane.normal, (len(matches), 3))

@@ -31,7 +31,7 @@ def denoised(room: SolvedRoom, station: Station) -> NDArray[np.float32]:
         around = cv2.boundingRect(on.view(np.uint8))
         part = slice(around[1], around[1] + around[3]), slice(around[0], around[0] + around[2])
         plane, place = room.planes[int(number)], station.place
-        offset = plane.offset - float(plane.normal @ place.translation)
+        offset = plane.offset_from(place.translation)
         points[part][on[part]] = _smoothed(points[part], on[part], place.rotation.T @ plane.normal / offset)
     return points
 

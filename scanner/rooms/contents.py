@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from calib.diagnostics import Uncertainty
 from calib.finding import Finding
-from calib.geometry import Calibration, Pose
+from calib.geometry import Calibration, Plane, Pose
 from calib.numerics import Floats
 from calib.pointcloud import Cloud
-from calib.rooms import Group, Pair, RoomEstimate, RoomPlane
+from calib.rooms import Group, Pair, RoomEstimate
 from scanner.results import Decoded
 
 
@@ -84,7 +84,7 @@ class SolvedRoom:
     calibration: Calibration
     uncertainty: Uncertainty | None
     stations: tuple[Station, ...]
-    planes: tuple[RoomPlane, ...]
+    planes: tuple[Plane, ...]
     estimate: RoomEstimate
     upright: Pose
     factor: float

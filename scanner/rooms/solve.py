@@ -37,7 +37,7 @@ from scanner.rooms.contents import RigStart, SolvedRoom, Station
 from scanner.rooms.corner_rig import ideal_matches, ideal_rig, is_estimated, state_of
 from scanner.rooms.epipolar_lines import CHANGED_RIG, of_another_rig
 from scanner.rooms.outlier_stations import outlier_stations_of
-from scanner.rooms.upright import moved_plane, upright
+from scanner.rooms.upright import upright
 from scanner.ui import Progress
 
 _FEWEST_ON_A_PLANE = 200
@@ -318,7 +318,7 @@ def _finished(
         calibration,
         Uncertainty(estimate.room.rig, estimate.rig_covariance, None, match_px) if is_estimated(start) else None,
         stations,
-        tuple(moved_plane(plane, turn, factor) for plane in estimate.room.planes),
+        tuple(plane.moved(turn, factor) for plane in estimate.room.planes),
         estimate,
         turn,
         factor,

@@ -8,16 +8,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.geometry import Pose
+from calib.geometry import Plane, Pose
 from calib.numerics import Floats
-from calib.rooms import RoomPlane
 
 _UPRIGHT, _LEVEL = float(np.cos(np.radians(30.0))), float(np.sin(np.radians(15.0)))
 _FLOOR_OF_LARGEST = 0.15
 _CAMERAS_UP = np.array([0.0, -1.0, 0.0])
 
 
-def upright(places: Sequence[Pose], planes: Sequence[RoomPlane], areas: Floats) -> tuple[Pose, int | None]:
+def upright(places: Sequence[Pose], planes: Sequence[Plane], areas: Floats) -> tuple[Pose, int | None]:
     """X_up = rotation X + translation, and the number of the floor; None without a floor, if the cameras define up.
 
     `areas` (P,): visible area of each plane.
@@ -33,31 +32,25 @@ def upright(places: Sequence[Pose], planes: Sequence[RoomPlane], areas: Floats) 
     return Pose(rotation, -rotation @ foot + np.array([0.0, 0.0, height])), floor
 
 
-def moved_plane(plane: RoomPlane, motion: Pose, factor: float = 1.0) -> RoomPlane:
-    """A plane after X → factor · (rotation X + translation)."""
-    normal: Floats = motion.rotation @ plane.normal
-    return RoomPlane(normal, factor * (plane.offset + float(normal @ motion.translation)))
-
-
-def ceiling_of(planes: Sequence[RoomPlane], areas: Floats) -> int | None:
+def ceiling_of(planes: Sequence[Plane], areas: Floats) -> int | None:
     """The highest large plane that faces down, in a frame whose z is up."""
     found = [i for i, plane in enumerate(planes) if plane.normal[2] < -_UPRIGHT]
     large = [i for i in found if areas[i] >= _FLOOR_OF_LARGEST * max(areas[k] for k in found)]
     return max(large, key=lambda i: -planes[i].offset, default=None)
 
 
-def is_vertical(plane: RoomPlane) -> bool:
+def is_vertical(plane: Plane) -> bool:
     """In a frame whose z is up."""
     return bool(abs(plane.normal[2]) < _LEVEL)
 
 
-def _floor(planes: Sequence[RoomPlane], areas: Floats, up: Floats) -> int | None:
+def _floor(planes: Sequence[Plane], areas: Floats, up: Floats) -> int | None:
     facing_up = [i for i, plane in enumerate(planes) if plane.normal @ up > _UPRIGHT]
     large = [i for i in facing_up if areas[i] >= _FLOOR_OF_LARGEST * max(areas[k] for k in facing_up)]
     return min(large, key=lambda i: planes[i].offset, default=None)
 
 
-def _along_a_wall(planes: Sequence[RoomPlane], areas: Floats, up: Floats) -> Floats:
+def _along_a_wall(planes: Sequence[Plane], areas: Floats, up: Floats) -> Floats:
     walls = [i for i, plane in enumerate(planes) if abs(plane.normal @ up) < _LEVEL]
     normal = planes[max(walls, key=lambda i: areas[i])].normal if walls else np.eye(3)[np.argmin(np.abs(up))]
     along = np.cross(normal, up)

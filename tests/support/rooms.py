@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from calib.geometry import Plane
 from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, Cells, Knowledge, State, into_cells
-from calib.rooms import Room, RoomPlane
+from calib.rooms import Room
 from calib.synthetic import SyntheticRoom
 from tests.support.states import device_of
 
@@ -19,7 +20,7 @@ def true_room(made: SyntheticRoom) -> tuple[Room, list[dict[int, int]]]:
     labels = [np.unique(station.matches.labels[station.matches.labels >= 0]) for station in made.stations]
     seen = np.unique(np.concatenate(labels))
     planes = tuple(
-        RoomPlane(first.rotation.T @ normal, float(offset - normal @ first.translation) / unit)
+        Plane(first.rotation.T @ normal, float(offset - normal @ first.translation) / unit)
         for normal, offset in zip(made.normals[seen], made.offsets[seen], strict=True)
     )
     state = State(device_of(rig.camera), device_of(rig.projector), rig.pose.scaled(1 / unit))

@@ -23,7 +23,7 @@ from calib.diagnostics import (
 from calib.diagnostics.smooth_errors import smooth_error_px, smooth_modes
 from calib.geometry import Calibration, Matches, Sigmas, intersect
 from calib.numerics import Floats, blocks
-from calib.pointcloud import Plane, dihedral_angle_rad, dihedral_gradients, fit_plane
+from calib.pointcloud import FittedPlane, dihedral_angle_rad, dihedral_gradients, fit_plane
 from calib.refinement import SHARED, State
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
@@ -79,7 +79,7 @@ def uncertainty_of(state: State, step: Floats, along: Along = NOWHERE) -> Uncert
     return Uncertainty(state, np.outer(step, step), None, 0.02, along)
 
 
-def planes_of(matches: Matches, calibration: Calibration) -> list[Plane]:
+def planes_of(matches: Matches, calibration: Calibration) -> list[FittedPlane]:
     found = []
     for face in range(3):
         part = matches.on_face(face)

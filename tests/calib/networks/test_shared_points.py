@@ -1,10 +1,9 @@
 import numpy as np
 
-from calib.geometry import Pose, Size, project, rotation_about
+from calib.geometry import Plane, Pose, Size, project, rotation_about
 from calib.networks.network import Device, Network
 from calib.networks.shared_points import SharedPoints
 from calib.numerics import Floats
-from calib.rooms import RoomPlane
 
 LENS = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
 
@@ -14,7 +13,7 @@ def made(rng: np.random.Generator, noise_px: float) -> tuple[Network, SharedPoin
     poses = [Pose(rotation_about(rng.normal(0, 0.1, 3)), np.array([x, 0.1 * x, 0.2 * x * x])) for x in (0.0, 1.0, -0.8)]
     network = Network(
         tuple(Device(LENS * (1 + 0.05 * i), pose, Size(1000, 800)) for i, pose in enumerate(poses)),
-        (RoomPlane(np.array([0.0, 0, 1]), 4.0),),
+        (Plane(np.array([0.0, 0, 1]), 4.0),),
     )
     points = rng.uniform((-1, -1, 3), (1, 1, 5), (80, 3))
 

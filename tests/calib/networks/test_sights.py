@@ -1,11 +1,10 @@
 import numpy as np
 
-from calib.geometry import Pose, Size, rotation_about
+from calib.geometry import Plane, Pose, Size, rotation_about
 from calib.networks.network import Device, Network
 from calib.networks.placement import placed
 from calib.networks.sights import PlaneObservation
 from calib.refinement import Cells
-from calib.rooms import RoomPlane
 
 
 def test_the_jacobian_matches_the_prediction() -> None:
@@ -14,8 +13,8 @@ def test_the_jacobian_matches_the_prediction() -> None:
     at, light = (Pose(rotation_about(rng.normal(0, 0.2, 3)), np.array([x, 0.1, -0.2])) for x in (0.2, 1.0))
     camera = Device(lens, at, Size(1000, 800), np.array([0.1, -0.2, 0.15, -0.1]))
     projector = Device(1.1 * lens, light, Size(1000, 800), np.array([-0.1, 0.2, 0.1, 0.2]))
-    plane = RoomPlane(np.array([0.1, 0.2, -1.0]) / np.sqrt(1.05), -4.0)
-    network = Network((projector, camera), (RoomPlane(np.array([1.0, 0, 0]), -5.0), plane))
+    plane = Plane(np.array([0.1, 0.2, -1.0]) / np.sqrt(1.05), -4.0)
+    network = Network((projector, camera), (Plane(np.array([1.0, 0, 0]), -5.0), plane))
     pixels = rng.uniform((100, 100), (900, 700), (20, 2))
     cells = Cells(pixels, pixels, np.ones(20, np.int32), np.ones(20), np.ones(20), 1.0, 0.0)
     sight = PlaneObservation(0, 1, 0, 1, cells)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.geometry import Pose
+from calib.geometry import Plane, Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, State, device_of
-from calib.rooms import LabelledPicture, Room, RoomPlane
+from calib.rooms import LabelledPicture, Room
 from calib.rooms.point_tracking import find_tracks
 from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track
@@ -29,7 +29,7 @@ def scene() -> Scene:
     device, along = device_of(CAMERA), np.array([1.0, 0.0, 0.0])
     rig = State(device, device, Pose(np.eye(3), along))
     normals, heights = made.scene.solids[0]
-    planes = tuple(RoomPlane(normal, float(height)) for normal, height in zip(normals, heights, strict=True))
+    planes = tuple(Plane(normal, float(height)) for normal, height in zip(normals, heights, strict=True))
     sights = []
     for station in seen:
         points = station.place @ station.points

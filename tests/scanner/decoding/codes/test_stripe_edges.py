@@ -19,7 +19,7 @@ _FINE = 6
 
 
 @dataclass(frozen=True)
-class Plane:
+class PlanarScene:
     """x = `x` · (column, row, 1), and y likewise; `blur_px`: standard deviation of the lens blur, in camera pixels.
 
     `curve`: exponent of the camera's response. `shading`: relative brightness increase per camera pixel to the right.
@@ -71,18 +71,18 @@ ASKEW = (0.61, 0.05, 3.2), (-0.04, 0.63, 2.1)
 @pytest.mark.parametrize(
     ("plane", "patterns", "rms_px"),
     [
-        (Plane(*ASKEW), CODE, (0.002, 0.03)),
-        (Plane(*ASKEW, noise=1.5), CODE, (0.01, 0.05)),
-        (Plane(*ASKEW, curve=0.5), CODE, (0.002, 0.03)),
-        (Plane(*ASKEW, shading=0.015), CODE, (0.002, 0.03)),
-        (Plane(*ASKEW, blur_px=0.8), CODE, (0.002, 0.03)),
-        (Plane(*ASKEW), sequence_for(PROJECTOR, cell=1, shifts=0, inverses=False), (0.002, 0.06)),
-        (Plane(*ASKEW), sequence_for(PROJECTOR, cell=4, shifts=0), (0.002, 0.03)),
+        (PlanarScene(*ASKEW), CODE, (0.002, 0.03)),
+        (PlanarScene(*ASKEW, noise=1.5), CODE, (0.01, 0.05)),
+        (PlanarScene(*ASKEW, curve=0.5), CODE, (0.002, 0.03)),
+        (PlanarScene(*ASKEW, shading=0.015), CODE, (0.002, 0.03)),
+        (PlanarScene(*ASKEW, blur_px=0.8), CODE, (0.002, 0.03)),
+        (PlanarScene(*ASKEW), sequence_for(PROJECTOR, cell=1, shifts=0, inverses=False), (0.002, 0.06)),
+        (PlanarScene(*ASKEW), sequence_for(PROJECTOR, cell=4, shifts=0), (0.002, 0.03)),
     ],
     ids=["sharp", "noise", "a bent curve", "shading", "blur", "without inverses", "cells of 4"],
 )
 def test_coordinates_between_edges_match_the_plane(
-    plane: Plane, patterns: tuple[Pattern, ...], rms_px: tuple[float, float]
+    plane: PlanarScene, patterns: tuple[Pattern, ...], rms_px: tuple[float, float]
 ) -> None:
     errors = plane.errors(plane.decode(patterns))
     assert len(errors) > 2500
@@ -98,7 +98,7 @@ def test_at_any_magnification_and_turn(scale: float, turn_deg: float, skew: floa
     down += skew * across
     middle = (np.array(PROJECTOR) - 1) / 2 - 47.5 * np.stack([across, down], axis=1)[:, 0]
     middle -= 35.5 * np.stack([across, down], axis=1)[:, 1]
-    plane = Plane((across[0], down[0], middle[0]), (across[1], down[1], middle[1]), noise=0.7)
+    plane = PlanarScene((across[0], down[0], middle[0]), (across[1], down[1], middle[1]), noise=0.7)
     decoding = plane.decode(CODE)
     errors = plane.errors(decoding)
     assert len(errors) > 400
