@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.geometry import Pose
 from calib.pointcloud import surface
-from calib.rooms import Registration, StationView, marks_of, register, station_view
+from calib.registration import Registration, StationView, find_keypoints, register, station_view
 from calib.synthetic import STATION_CAMERA, Paint, StationCloud, moved_rig, random_furnished_room, ring, seen_from
 
 KINDS = ("whole", "open", "stranger", "two", "moved", "bare")
@@ -60,7 +60,8 @@ def view_of(station: StationCloud) -> StationView:
     view = station_view(station.points, normals, STATION_CAMERA)
     if station.picture is None:
         return view
-    return replace(view, marks=marks_of(station.picture, view.points, view.labels, view.planes, STATION_CAMERA))
+    keypoints = find_keypoints(station.picture, view.points, view.labels, view.planes, STATION_CAMERA)
+    return replace(view, keypoints=keypoints)
 
 
 def errors(found: Registration, of: list[Stop]) -> list[tuple[float, float]]:

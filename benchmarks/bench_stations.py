@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 from bench_registration import view_of
 
-from calib.rooms import RigPrior, RoomEstimate, estimate_room, register
+from calib.registration import register
+from calib.rooms import RigPrior, RoomEstimate, estimate_room
 from calib.synthetic import RoomOptions, random_furnished_room, random_room, ring, seen_from
 
 sys.path.append(str(Path(__file__).parents[1]))

@@ -10,6 +10,7 @@ from calib.boards import State as BoardState
 from calib.boards.likelihood import BoardVariances, device_prior
 from calib.boards.likelihood import evaluate as evaluate_boards
 from calib.boards.parameters import PlacedBoard, device_of
+from calib.estimation import evaluate as evaluate_room
 from calib.geometry import Matches, Plane
 from calib.networks import Device, Network, PlaneObservation
 from calib.networks.prior import NetworkKnowledge
@@ -28,7 +29,6 @@ from calib.refinement import (
 )
 from calib.refinement import device_of as rig_device_of
 from calib.rooms import Patch, Room, RoomPrior
-from calib.rooms.likelihood import evaluate as evaluate_room
 from calib.self_calibration import anywhere
 from calib.synthetic import SyntheticBoards, SyntheticCapture, SyntheticNetwork, SyntheticPhotos
 

@@ -11,16 +11,8 @@ import numpy as np
 
 from calib.boards.estimate import Estimate
 from calib.boards.likelihood import BoardVariances, BoardView, minimise
-from calib.boards.parameters import (
-    CAMERA,
-    INTRINSIC_COLUMNS,
-    PER_FLEX,
-    PER_POSE,
-    PROJECTOR,
-    SHARED,
-    PlacedBoard,
-    predict_matches,
-)
+from calib.boards.parameters import CAMERA, INTRINSIC_COLUMNS, PER_FLEX, PROJECTOR, SHARED, PlacedBoard, predict_matches
+from calib.geometry import PER_POSE
 from calib.numerics import Floats
 
 _FEWEST_OF_A_HALF = 2

@@ -9,7 +9,6 @@ import numpy as np
 from calib.boards.estimate import Estimate
 from calib.boards.parameters import (
     INTRINSIC_COLUMNS,
-    PER_POSE,
     SHARED,
     PlacedBoard,
     State,
@@ -18,7 +17,7 @@ from calib.boards.parameters import (
     predict_corners,
     predict_matches,
 )
-from calib.geometry import Pose, Size, rotation_about
+from calib.geometry import PER_POSE, Pose, Size, rotation_about
 from calib.numerics import Floats
 from calib.refinement import inverse_of
 

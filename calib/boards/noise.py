@@ -7,7 +7,8 @@ from functools import reduce
 import numpy as np
 
 from calib.boards.likelihood import BoardVariances, BoardView, Fit, Prior
-from calib.boards.parameters import PER_POSE, SHARED
+from calib.boards.parameters import SHARED
+from calib.geometry import PER_POSE
 from calib.numerics import CUBIC, MEDIAN_LENGTH, Floats
 from calib.refinement import Cells, Noise, joined, long_waves, noise_of
 

@@ -15,12 +15,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.geometry import Intrinsics, Pose, cross, cross_matrix
+from calib.geometry import PER_POSE, Intrinsics, Pose, cross, cross_matrix
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Bools, Floats, Ints
 
 PER_DEVICE, PER_BEND = 9, 7
-PER_POSE, PER_FLEX = 6, 3
+PER_FLEX = 3
 PER_VIEW = PER_POSE + PER_FLEX
 CAMERA, PROJECTOR = slice(0, 9), slice(9, 18)
 ROTATION, DIRECTION, LENGTH = slice(18, 21), slice(21, 23), 23

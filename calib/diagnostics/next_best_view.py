@@ -10,11 +10,10 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import FACES, depths_on_planes, unproject
+from calib.geometry import FACES, PER_POSE, depths_on_planes, unproject
 from calib.numerics import Floats
 from calib.refinement import (
     CAMERA,
-    PER_POSE,
     Cells,
     Knowledge,
     PlacedCorner,

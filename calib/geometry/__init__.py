@@ -26,6 +26,7 @@ from calib.geometry.matches import FACES, NO_FACE, Matches
 from calib.geometry.plane import PER_PLANE, Plane
 from calib.geometry.pose import (
     IDENTITY,
+    PER_POSE,
     Pose,
     cross,
     cross_matrix,

@@ -17,6 +17,7 @@ from calib.numerics import Bools, Floats, Ints, compiled
 
 _Points = NDArray[np.floating[Any]]
 
+PER_POSE = 6  # numbers of a step: a rotation vector and a translation
 _TINY = 1e-8  # radians, below which the quotients of Rodrigues' formula are at their limits
 _SMALL = 0.03  # radians, below which (θ − sin θ) / θ³ loses more digits than its series
 

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calib.estimation import Fit
 from calib.finding import FindingKind
 from calib.geometry import Matches, Size
 from calib.networks.network import Network
@@ -14,7 +15,6 @@ from calib.networks.raster import ImageRaster, SeenAt
 from calib.networks.sights import PlaneObservation
 from calib.numerics import Floats, evenly, median, robust_sigma
 from calib.refusal import RefusalError
-from calib.rooms.likelihood import Fit
 
 _SAMPLE = 20_000
 _ALIKE = 0.03  # of the distance of what they see, as of a rig's baseline in `calib.diagnostics`

@@ -5,6 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.estimation import (
+    CONVERGED,
+    WRONG_ASSOCIATION,
+    Fit,
+    association_scores,
+    covariance_of_shifts,
+    minimise,
+    separate_plane,
+)
 from calib.finding import FindingKind
 from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Size
 from calib.networks.doubts import Strain, refuse_mirrored, standing_alike, strains
@@ -18,9 +27,6 @@ from calib.networks.warps import Warps, find_warps, or_moved, weighed
 from calib.numerics import Floats, evenly
 from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
 from calib.refusal import RefusalError
-from calib.rooms.likelihood import CONVERGED, Fit, minimise
-from calib.rooms.smooth_errors import covariance_of_shifts
-from calib.rooms.ties import WRONG_TIE, tie_scores, untied
 from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self_calibrate
 
 _LEAST_ON_FACE = 100  # matches; fewer may be strays
@@ -190,13 +196,15 @@ def _without_wrong_ties(grown: Grown) -> tuple[tuple[PlaneObservation, ...], Fit
         if len(kept) < len(sights):
             sights = kept
             continue
-        scores, freedom = tie_scores(sights, fit, variances, free)
+        scores, freedom = association_scores(sights, fit, variances, free)
         per_freedom = np.where(freedom > 0, scores / np.maximum(freedom, 1), 0.0)
-        limit = WRONG_TIE * max(float(np.median(per_freedom[freedom > 0])), 1.0) if (freedom > 0).any() else np.inf
+        limit = (
+            WRONG_ASSOCIATION * max(float(np.median(per_freedom[freedom > 0])), 1.0) if (freedom > 0).any() else np.inf
+        )
         for plane in range(len(network.planes)):
             worst = max((i for i, s in enumerate(sights) if s.plane == plane), key=lambda i: float(per_freedom[i]))
             if per_freedom[worst] > limit:
-                network, sights = untied(network, sights, worst)
+                network, sights = separate_plane(network, sights, worst)
         if len(network.planes) == len(fit.layout.planes):
             return sights, fit
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.estimation import minimise
 from calib.geometry import IDENTITY, NO_FACE, Matches, Plane
 from calib.networks.network import Device, Network
 from calib.networks.overlaps import Overlaps, PairName, pixels_of
@@ -19,7 +20,6 @@ from calib.networks.shared_points import SharedPoints
 from calib.networks.sights import PlaneObservation, points_on
 from calib.numerics import Bools, Floats, evenly
 from calib.refinement import device_of, into_cells
-from calib.rooms.likelihood import minimise
 from calib.self_calibration import SelfCalibration
 
 ROUGH = 0.1  # tolerance in cost

@@ -14,15 +14,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.geometry import PER_PLANE, Plane, Pose, Size, project, unproject
+from calib.geometry import PER_PLANE, PER_POSE, Plane, Pose, Size, project, unproject
 from calib.numerics import Floats
 from calib.refinement import PER_DEVICE, moved_device
-from calib.rooms.room import PER_PLACE
 
 PER_WARP = 4
-PER_NODE = PER_DEVICE + PER_PLACE + PER_WARP
-POSE, PLACE = slice(PER_DEVICE, PER_DEVICE + PER_PLACE), slice(PER_DEVICE + 3, PER_DEVICE + PER_PLACE)
-WARP = slice(PER_DEVICE + PER_PLACE, PER_NODE)  # all of a device's own columns
+PER_NODE = PER_DEVICE + PER_POSE + PER_WARP
+POSE, PLACE = slice(PER_DEVICE, PER_DEVICE + PER_POSE), slice(PER_DEVICE + 3, PER_DEVICE + PER_POSE)
+WARP = slice(PER_DEVICE + PER_POSE, PER_NODE)  # all of a device's own columns
 
 
 @dataclass(frozen=True, eq=False)

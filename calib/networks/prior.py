@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calib.estimation import squareness
 from calib.geometry import FACES, Size
 from calib.networks.network import PLACE, WARP, Device, Network
 from calib.numerics import Bools, Floats
 from calib.refinement import PER_DEVICE, SQUARENESS_DEG, LensPrior, of_any_device
-from calib.rooms.priors import squareness
 from calib.self_calibration import PrincipalPoint
 
 _CENTRE_SIGMA = 0.03  # of a camera's principal point around its image's centre, in image widths

@@ -12,12 +12,12 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtri
 
+from calib.estimation import block_inflation
 from calib.geometry import cross_matrix
 from calib.networks.network import PER_NODE, PLACE, WARP, Device, Network
 from calib.networks.raster import ImageRaster, SeenAt, depths
 from calib.numerics import Bools, Floats, Ints, evenly, huber_loss, huber_weights
 from calib.refinement import PER_DEVICE, ROBUST_SIGMAS
-from calib.rooms.contacts import block_inflation
 
 _MOST, _FEWEST = 2000, 30
 _STEPS = 4

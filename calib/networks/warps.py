@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
+from calib.estimation import Fit
 from calib.networks.doubts import strains
 from calib.networks.growth import ROUGH, Grown
 from calib.networks.network import PER_WARP, WARP, Network
@@ -23,7 +24,6 @@ from calib.networks.sights import PlaneObservation
 from calib.networks.weights import Weights
 from calib.numerics import Bools, Floats, Ints
 from calib.refinement import PER_DEVICE, alternative
-from calib.rooms.likelihood import Fit
 
 _SAME = np.array([1e-5, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])  # of log f, x_0, y_0, k1, k2, p1, p2, k3
 

@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.estimation import UNKNOWN, Fit, Joint, NoiseLevels, measured, minimise, of_station
 from calib.networks.growth import Grown
 from calib.networks.network import Network
 from calib.networks.shared_points import SharedPoints
 from calib.networks.sights import PlaneObservation
 from calib.networks.surfaces import PlaneRelief, likeliest_steepness, surfaces_of
 from calib.numerics import Bools, Floats
-from calib.rooms.likelihood import Fit, Joint, minimise
-from calib.rooms.noise import UNKNOWN, NoiseLevels, measured, of_station
 
 _BENT = 4.0  # times the variance of noise
 _START = 3.0  # sigmas of the scatter of matches

@@ -1,8 +1,8 @@
-"""Suggested poses of two views without an initial guess: from their surfaces at every rotation, and from marks in the
-pictures.
+"""Suggested poses of two views without an initial guess: from their surfaces at every rotation, and from keypoints in
+the pictures.
 
-Most matching marks (SIFT: Lowe 2004) are wrong. A rigid motion preserves distances, so right pairs are compatible with
-each other; pairs that are compatible with the same others vote for one pose (Chen et al., "SC²-PCR: a second order
+Most matching keypoints (SIFT: Lowe 2004) are wrong. A rigid motion preserves distances, so right pairs are compatible
+with each other; pairs that are compatible with the same others vote for one pose (Chen et al., "SC²-PCR: a second order
 spatial compatibility for efficient and robust point cloud registration", 2022).
 """
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Floats
-from calib.objects.joint import WIDE, settled
+from calib.objects.joint import WIDE, align
 from calib.objects.patch_overlap import mark_pairs
 from calib.objects.pose_search import THOROUGHLY, are_about_the_same, searched_poses
 from calib.objects.view import ObjectView
-from calib.rooms.marked_poses import rigid
+from calib.registration import fit_rigid_motion
 
 _SEARCHED = 8
 _SOME = 250  # patches
@@ -31,8 +31,8 @@ def suggested_poses(first: ObjectView, second: ObjectView, *, thorough: bool = F
     if thorough:
         return searched_poses(first, second, THOROUGHLY, THOROUGHLY)
     own, other = mark_pairs(first, second)
-    by_marks = _voted(first.marks.points[own], second.marks.points[other], first.grain)
-    rough = [settled(first, second, pose, (WIDE, 1.0), _SOME) for pose in (IDENTITY, *by_marks)]
+    by_keypoints = _voted(first.keypoints.points[own], second.keypoints.points[other], first.grain)
+    rough = [align(first, second, pose, (WIDE, 1.0), _SOME) for pose in (IDENTITY, *by_keypoints)]
     return [*rough, *searched_poses(first, second, _SEARCHED)]
 
 
@@ -50,11 +50,11 @@ def _voted(here: Floats, there: Floats, grain: float) -> list[Pose]:
         voters = np.append(voters[second[seed][voters] > 0], seed)
         if len(voters) < _FEWEST:
             continue
-        pose = rigid(here[voters][None], there[voters][None])[0]
+        pose = fit_rigid_motion(here[voters][None], there[voters][None])[0]
         for _ in range(2):
             near = np.linalg.norm(pose @ there - here, axis=1) < _COMPATIBLE * grain
             if np.count_nonzero(near) >= _FEWEST:
-                pose = rigid(here[near][None], there[near][None])[0]
+                pose = fit_rigid_motion(here[near][None], there[near][None])[0]
         if not any(are_about_the_same(pose, better, grain) for _, better in found):
             found.append((int(np.count_nonzero(near)), pose))
     return [pose for _, pose in sorted(found, key=lambda each: -each[0])[:_KEPT]]

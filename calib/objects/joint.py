@@ -1,4 +1,4 @@
-"""All poses of the views together: point to plane over every overlapping pair, marks of the pictures, and the
+"""All poses of the views together: point to plane over every overlapping pair, keypoints of the pictures, and the
 covariance.
 
 The normal is the mean of both views', which cancels the curvature between the two points (Rusinkiewicz, "A symmetric
@@ -18,7 +18,7 @@ from calib.numerics import Floats, Ints, huber_weights, robust_sigma
 from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, ObjectView
 from calib.refinement import ROBUST_SIGMAS
-from calib.rooms.alignment import coupled
+from calib.registration import couple_poses
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
@@ -96,7 +96,7 @@ def estimate_jointly(views: Sequence[ObjectView], places: Sequence[Pose]) -> Joi
     )
 
 
-def settled(first: ObjectView, second: ObjectView, pose: Pose, grains: Sequence[float], count: int) -> Pose:
+def align(first: ObjectView, second: ObjectView, pose: Pose, grains: Sequence[float], count: int) -> Pose:
     """One pair alone, by some of the patches."""
     places = [IDENTITY, pose]
     for each in grains:
@@ -151,10 +151,10 @@ def _carried(view: ObjectView, place: Pose, flat: Ints) -> tuple[Floats, Floats]
 def _with_marks(
     surface: PairResiduals, first: ObjectView, second: ObjectView, here: Pose, there: Pose
 ) -> PairResiduals:
-    """The residuals with those of the marks, which also act along the surface."""
+    """The residuals with those of the keypoints, which also act along the surface."""
     own, other = mark_pairs(first, second)
-    points = here @ first.marks.points[own]
-    others = there @ second.marks.points[other]
+    points = here @ first.keypoints.points[own]
+    others = there @ second.keypoints.points[other]
     near = np.linalg.norm(points - others, axis=1) < 2 * _MARK_GRAINS * first.grain
     if np.count_nonzero(near) < _FEWEST_MARKS:
         return surface
@@ -164,7 +164,7 @@ def _with_marks(
     axes = np.broadcast_to(np.eye(3), (len(off), 3, 3))
     by_first = np.concatenate([np.cross(((points + others) / 2)[:, None], axes), axes], axis=2).reshape(-1, 6)
     part = np.stack(
-        [first.parts(first.marks.pixels[own][near]), second.parts(second.marks.pixels[other][near])], axis=1
+        [first.parts(first.keypoints.pixels[own][near]), second.parts(second.keypoints.pixels[other][near])], axis=1
     )
     return PairResiduals(
         surface.first,
@@ -187,7 +187,7 @@ def _together(
 def _normal(found: Sequence[PairResiduals], count: int) -> tuple[Floats, Floats]:
     """Matrix (6 n, 6 n) and gradient (6 n,) of all places' twists about the origin."""
     weighted = [(each, each.by_first * each.weight[:, None]) for each in found]
-    return coupled(((each.first, each.second, w.T @ each.by_first, w.T @ each.off) for each, w in weighted), count)
+    return couple_poses(((each.first, each.second, w.T @ each.by_first, w.T @ each.off) for each, w in weighted), count)
 
 
 def _step(found: Sequence[PairResiduals], count: int) -> Floats:

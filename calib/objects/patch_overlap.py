@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from calib.geometry import Pose
 from calib.numerics import Floats, Ints, compiled
 from calib.objects.view import ObjectView
-from calib.rooms.marks import alike
-from calib.rooms.projection import pixel_under, rotated
+from calib.registration import match_keypoints, pixel_under, rotate_vector
 
 UNSEEN, HIDDEN, THROUGH_FREE_SPACE, OFF_SURFACE = -1, -2, -3, -4
 _LIKE = float(np.cos(np.radians(40.0)))
@@ -70,12 +69,12 @@ def _overlap(
     height, width = depth.shape
     for m in range(len(patches)):
         found[m] = -1
-        x, y, z = rotated(r, patches[m])
+        x, y, z = rotate_vector(r, patches[m])
         x, y, z = x + t[0], y + t[1], z + t[2]
         i, j = pixel_under(x, y, z, lens, height, width)
         if i < 0:
             continue
-        n0, n1, n2 = rotated(r, patch_normals[m])
+        n0, n1, n2 = rotate_vector(r, patch_normals[m])
         if n0 * x + n1 * y + n2 * z >= 0:  # it faces away from the camera, so it is the back of the thing
             continue
         if points[i, j, 2] > 0:
@@ -98,17 +97,17 @@ def _overlap(
 @dataclass(frozen=True)
 class OverlapEvidence:
     """Counts over the patches of both views: `agreeing`, `against` (violating free space, or off the surface), and
-    matching `marks` of the pictures that coincide.
+    matching `keypoints` of the pictures that coincide.
     """
 
     agreeing: int
     against: int
-    marks: int
+    keypoints: int
 
     @property
     def worth(self) -> float:
-        """In patches. Wrong poses agree for the most part, too: one against outweighs several. Marks count for many."""
-        return self.agreeing - _PER_AGAINST * self.against + _PER_MARK * max(0, self.marks - _BY_CHANCE)
+        """In patches. Wrong poses agree for the most part, too: one against outweighs several; keypoints count for many."""
+        return self.agreeing - _PER_AGAINST * self.against + _PER_KEYPOINT * max(0, self.keypoints - _BY_CHANCE)
 
     @property
     def share(self) -> float:
@@ -116,7 +115,7 @@ class OverlapEvidence:
         return self.agreeing / max(1, self.agreeing + self.against)
 
 
-_PER_AGAINST, _PER_MARK, _BY_CHANCE = 3.0, 25.0, 4
+_PER_AGAINST, _PER_KEYPOINT, _BY_CHANCE = 3.0, 25.0, 4
 _MARK_GRAINS = 1.0
 
 
@@ -134,7 +133,7 @@ def evidence(
     here = overlapping_pixels(first, second, pose.inverse(), within, count)
     both = np.concatenate([there, here])
     own, other = mark_pairs(first, second)
-    apart = np.linalg.norm(pose @ second.marks.points[other] - first.marks.points[own], axis=1)
+    apart = np.linalg.norm(pose @ second.keypoints.points[other] - first.keypoints.points[own], axis=1)
     return OverlapEvidence(
         int(np.count_nonzero(both >= 0)),
         int(np.count_nonzero((both == THROUGH_FREE_SPACE) | (both == OFF_SURFACE))),
@@ -143,5 +142,5 @@ def evidence(
 
 
 def mark_pairs(first: ObjectView, second: ObjectView) -> tuple[Ints, Ints]:
-    """Matching marks, (M,) of either view."""
-    return alike(first.marks, second.marks)
+    """Matching keypoints, (M,) of either view."""
+    return match_keypoints(first.keypoints, second.keypoints)

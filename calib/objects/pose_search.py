@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Pose, rotation_about
 from calib.numerics import Bools, Floats, compiled, distinct
 from calib.objects.view import ObjectView
-from calib.rooms.projection import pixel_under, rotated
+from calib.registration import pixel_under, rotate_vector
 
 _TURNS = 1200  # rotations; any rotation is about 17° from the nearest one
 # Numbers of patches, and distances in grains within which they match: for all descents, and for the best.
@@ -114,9 +114,9 @@ def _descend(
             matrix, gradient = np.zeros((6, 6)), np.zeros(6)
             worth[k] = 0.0
             for m in range(len(patches)):
-                x, y, z = rotated(r, patches[m])
+                x, y, z = rotate_vector(r, patches[m])
                 x, y, z = x + t[0], y + t[1], z + t[2]
-                e, f, g = rotated(r, patch_normals[m])
+                e, f, g = rotate_vector(r, patch_normals[m])
                 if e * x + f * y + g * z >= 0:
                     continue
                 i, j = pixel_under(x, y, z, lens, height, width)

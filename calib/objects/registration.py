@@ -15,11 +15,11 @@ import numpy as np
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import IDENTITY, Pose
 from calib.objects.candidates import suggested_poses
-from calib.objects.joint import NARROW, settled
+from calib.objects.joint import NARROW, align
 from calib.objects.patch_overlap import OverlapEvidence, evidence, tolerance
 from calib.objects.pose_search import are_about_the_same
 from calib.objects.view import PATCHES, ObjectView
-from calib.rooms import NO_OVERLAP, NOTHING_SEEN, UnregisteredStation
+from calib.registration import NO_OVERLAP, NOTHING_SEEN, UnregisteredStation
 
 _SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
@@ -191,7 +191,7 @@ def _suggested(first: ObjectView, second: ObjectView, *, thorough: bool = False)
     for _, k in rated[:_SETTLED]:
         if len(found) == _LOOKED_AT or any(are_about_the_same(poses[k], each.pose, first.grain) for each in found):
             continue
-        pose = settled(first, second, poses[k], (1.0, NARROW, NARROW), _MORE)
+        pose = align(first, second, poses[k], (1.0, NARROW, NARROW), _MORE)
         closely = evidence(first, second, pose, tolerance(first, second), _MORE)
         least_share = _SURE_SHARE if thorough else _LEAST_SHARE
         if closely.share > least_share and closely.agreeing > _LEAST_AGREEING * 2 * _MORE:

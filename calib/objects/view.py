@@ -9,9 +9,14 @@ from numpy.typing import NDArray
 
 from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats, Image, Ints
-from calib.rooms import Marks, relative_noise
-from calib.rooms.marks import described, logarithmic, no_marks
-from calib.rooms.surfaces import spread
+from calib.registration import (
+    Keypoints,
+    describe_keypoints,
+    log_brightness,
+    no_keypoints,
+    relative_noise,
+    sample_evenly,
+)
 
 PATCHES = 3000  # drawn from each view; with fewer pixels than that, it is seen too small or too dark
 STEEPEST = 0.35  # cosine of the slant beyond which a patch's area is unreliable
@@ -30,7 +35,8 @@ class ObjectView:
     camera saw at all, the background included, 0 where nothing is known; `near` (H, W): the least around each pixel.
 
     `patches`: pixels as flat indices, in random order, drawn evenly over the surface. `noise`: standard deviation of a
-    point along its ray at depth z is `noise` · z². `grain`: in the unit of the points. `marks`: none without a picture.
+    point along its ray at depth z is `noise` · z². `grain`: in the unit of the points. `keypoints`: none without
+    a picture.
     """
 
     points: NDArray[np.float32]
@@ -41,11 +47,11 @@ class ObjectView:
     patches: Ints
     noise: float
     grain: float
-    marks: Marks
+    keypoints: Keypoints
 
     @cached_property
     def lens(self) -> Floats:
-        """Of the camera (9,), as `calib.rooms.projection` reads it."""
+        """Of the camera (9,), as `calib.registration.range_view` reads it."""
         camera = self.camera
         return np.array([*camera.focal_px, *camera.principal_point_px, *camera.distortion], np.float64)
 
@@ -129,11 +135,11 @@ def view_of(
     turned = np.where(there[..., None], normals, np.float32(np.nan))
     known = np.where(depth > 0, depth, np.float32(np.inf))
     near = np.asarray(cv2.erode(known, np.ones((_AROUND, _AROUND), np.uint8)), np.float32)
-    patches = spread(own, turned, PATCHES, STEEPEST, beyond=False)
+    patches = sample_evenly(own, turned, PATCHES, STEEPEST, beyond=False)
     size = float(np.linalg.norm(np.ptp(own[there], axis=0)))
-    marks = no_marks() if picture is None else _marks(picture, own, there)
+    keypoints = no_keypoints() if picture is None else _keypoints(picture, own, there)
     noise = relative_noise(own, turned)
-    return ObjectView(own, turned, depth, near, camera, patches, noise, _OF_SIZE * size, marks)
+    return ObjectView(own, turned, depth, near, camera, patches, noise, _OF_SIZE * size, keypoints)
 
 
 def without_small_pieces(there: Bools) -> Bools:
@@ -148,11 +154,11 @@ def without_small_pieces(there: Bools) -> Bools:
     return kept
 
 
-def _marks(picture: Image, points: NDArray[np.float32], there: Bools) -> Marks:
+def _keypoints(picture: Image, points: NDArray[np.float32], there: Bools) -> Keypoints:
     """SIFT's, on the thing, lifted to its surface."""
     inside = np.asarray(cv2.erode(there.astype(np.uint8), np.ones((_AROUND, _AROUND), np.uint8)), np.uint8)
-    pixels, descriptors = described(logarithmic(picture), inside, _MARKS)
+    pixels, descriptors = describe_keypoints(log_brightness(picture), inside, _MARKS)
     column, row = np.rint(pixels).astype(np.int64).T
     lifted = points[row, column].astype(np.float64)
     on = np.isfinite(lifted[:, 2])
-    return Marks(pixels[on], lifted[on], np.full(int(on.sum()), -1), descriptors[on])
+    return Keypoints(pixels[on], lifted[on], np.full(int(on.sum()), -1), descriptors[on])

@@ -20,7 +20,6 @@ from calib.refinement.parameters import (
     CAMERA,
     PER_CORNER,
     PER_DEVICE,
-    PER_POSE,
     PROJECTOR,
     ROTATION,
     SHARED,

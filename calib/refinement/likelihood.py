@@ -10,9 +10,10 @@ from functools import cached_property
 
 import numpy as np
 
+from calib.geometry import PER_PLANE, PER_POSE
 from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
 from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import CAMERA, PER_CORNER, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
+from calib.refinement.parameters import CAMERA, PER_CORNER, PROJECTOR, SHARED, State, predict
 from calib.refinement.priors import ORDINARY_LENSES, ColumnPrior, KnownRig, LensPrior
 from calib.refusal import PHOTOS, RIG, Wording
 

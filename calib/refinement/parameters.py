@@ -15,7 +15,17 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.geometry import FACES, Intrinsics, Pose, depths_on_planes, polar, rotation_about, rotation_vector
+from calib.geometry import (
+    FACES,
+    PER_PLANE,
+    PER_POSE,
+    Intrinsics,
+    Pose,
+    depths_on_planes,
+    polar,
+    rotation_about,
+    rotation_vector,
+)
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Floats, Ints
 from calib.refinement.reprojection_jacobians import face_normals, reproject
@@ -27,7 +37,7 @@ SHARED = 21
 TANGENTIAL = 5, 6  # of a device
 TANGENTIAL_TERMS = tuple(device.start + term for device in (CAMERA, PROJECTOR) for term in TANGENTIAL)
 WEAK_TERMS = tuple(device.start + term for device in (CAMERA, PROJECTOR) for term in range(5, PER_DEVICE))
-PER_CORNER, PER_POSE, PER_PLANE, PER_FURTHER = 3, 6, 3, 6
+PER_CORNER, PER_FURTHER = 3, 6
 
 # Relative to the distance to the vertex, and in radians: views closer than this have the same optical errors.
 _SAME_PLACE = 0.01

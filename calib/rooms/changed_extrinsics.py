@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.estimation import PatchSums, Score, reweighted, score
 from calib.numerics import Floats
 from calib.refinement import ROTATION, TRANSLATION, covariance_of
 from calib.rooms.estimate import RoomEstimate
 from calib.rooms.patches import Patch
-from calib.rooms.scores import PatchSums, Score, reweighted, score
 
 _MOTION = slice(ROTATION.start, TRANSLATION.stop)
 _FEWEST = 3  # of two stations, either one may be the changed one

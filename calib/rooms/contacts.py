@@ -12,10 +12,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.diagnostics import Uncertainty
-from calib.geometry import Matches, cross, unproject
+from calib.estimation import block_inflation
+from calib.geometry import PER_POSE, Matches, cross, unproject
 from calib.numerics import Floats, Ints, evenly, huber_loss, huber_weights, robust_sigma
 from calib.refinement import ROBUST_SIGMAS, SHARED, depths
-from calib.rooms.room import PER_PLACE, Room
+from calib.rooms.room import Room
 
 _DENSE, _MOST = 60_000, 4000  # points of a station, and number of them that search for neighbours
 _NEIGHBOURS = 12
@@ -25,8 +26,6 @@ SMOOTH, _SHARE = 60, 1 / 1000  # the second as a share of a station's points: fe
 _FLAT = 0.2  # least over middle spread of a point's neighbours; a rougher place has no normal
 _ALIKE = 0.94  # least scalar product of two normals
 _FEWEST = 30
-_BLOCKS = 5  # blocks along either side of a view, within which errors correlate
-_FEWEST_IN_BLOCK = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +50,7 @@ class Contact:
 
     def distances(self, room: Room) -> tuple[Floats, Floats, Floats]:
         """Of the first's points before the surface of the second (N,), derivatives (N, 27), and by pixels (N, 4)."""
-        distances, by_room = np.zeros(len(self.normals)), np.zeros((len(self.normals), SHARED + 2 * PER_PLACE))
+        distances, by_room = np.zeros(len(self.normals)), np.zeros((len(self.normals), SHARED + 2 * PER_POSE))
         by_pixels = []
         for i, (station, matches, sign) in enumerate(
             zip((self.first, self.second), self.matches, (1, -1), strict=True)
@@ -61,7 +60,7 @@ class Contact:
             turned = place.rotate(_seen(room, matches))
             normals = sign * self.normals
             back = normals @ place.rotation
-            own = slice(SHARED + PER_PLACE * i, SHARED + PER_PLACE * (i + 1))
+            own = slice(SHARED + PER_POSE * i, SHARED + PER_POSE * (i + 1))
             distances += np.sum(normals * (turned + place.translation), axis=1)
             by_room[:, :SHARED] += np.einsum("ni,nij->nj", back, by_rig)
             by_room[:, own] = np.hstack([cross(turned, normals), normals])
@@ -150,18 +149,3 @@ def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Fl
     variance *= max(1.0, robust_sigma(distances / np.sqrt(variance)) ** 2)
     relative = np.clip(distances / np.sqrt(variance), -ROBUST_SIGMAS, ROBUST_SIGMAS)
     return variance * block_inflation(contact.matches[0].camera_px, relative)
-
-
-def block_inflation(pixel: Floats, relative: Floats) -> float:
-    """Factor on variances for errors (N,), in sigmas, that correlate within blocks of pixels (N, 2)."""
-    block = blocks_of(pixel)
-    count, total = np.bincount(block), np.bincount(block, relative)
-    full = count >= _FEWEST_IN_BLOCK
-    return max(1.0, float(np.mean(total[full] ** 2 / count[full]))) if full.any() else 1.0
-
-
-def blocks_of(pixel: Floats) -> Ints:
-    """The number (N,) of the block that each pixel (N, 2) is in."""
-    place = ((pixel - pixel.min(axis=0)) / (np.ptp(pixel, axis=0) + 1e-9) * _BLOCKS).astype(np.int64)
-    number: Ints = place[:, 0] * (_BLOCKS + 1) + place[:, 1]
-    return number

@@ -11,19 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from calib.geometry import Matches
+from calib.estimation import block_inflation, blocks_of
+from calib.geometry import PER_POSE, Matches
 from calib.numerics import Floats, huber_weights, robust_sigma
 from calib.refinement import ROBUST_SIGMAS, SHARED
-from calib.rooms.contacts import SMOOTH, Contact, block_inflation, blocks_of, find_contacts
+from calib.rooms.contacts import SMOOTH, Contact, find_contacts
 from calib.rooms.estimate import RoomEstimate
-from calib.rooms.room import PER_PLACE
 
 _RADIUS = 0.01  # relative to the reach, as for the contacts
 _ROUNDS = 5
 _TURNING, _SHIFTING = slice(0, 3), slice(3, 6)
 # Smooth errors of real decoders are known roughly, so sigmas are less reliable than for normal deviates.
 _CALM = 1.5
-_DOUBT = float(chdtri(PER_PLACE, 1e-3))
+_DOUBT = float(chdtri(PER_POSE, 1e-3))
 _FAR, _FAR_SHARE, _FULL_BLOCK = 5.0, 0.06, 20  # sigmas, and share of displaced blocks; points of a full block
 
 
@@ -56,11 +56,11 @@ def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, f
     noise = contact.noise_px(match_px)
     alone: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
     # Twist of the second station about the middle of the common view.
-    columns = by_room[:, SHARED + PER_PLACE :]
+    columns = by_room[:, SHARED + PER_POSE :]
     middle = _middle(columns)
     by_twist = columns.copy()
     by_twist[:, _TURNING] -= np.cross(np.broadcast_to(middle, (len(columns), 3)), columns[:, _SHIFTING])
-    twist: Floats = np.zeros(PER_PLACE)
+    twist: Floats = np.zeros(PER_POSE)
     variance = alone
     for _ in range(_ROUNDS):
         left = distances + by_twist @ twist

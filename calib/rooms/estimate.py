@@ -10,19 +10,24 @@ from functools import cached_property
 
 import numpy as np
 
+from calib.estimation import (
+    Fit,
+    NoiseLevels,
+    covariance_of_shifts,
+    covariance_of_waves,
+    measured,
+    minimise,
+    rough_levels,
+)
 from calib.geometry import Matches, Plane, Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, State, covariance_of
 from calib.rooms.contacts import Contact, find_contacts
-from calib.rooms.flatness import covariance_of_waves
-from calib.rooms.likelihood import Fit, minimise
-from calib.rooms.noise import NoiseLevels, measured, rough_levels
 from calib.rooms.patches import Patch, patches_of
 from calib.rooms.point_tracking import LabelledPicture, find_tracks
 from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
 from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
-from calib.rooms.smooth_errors import covariance_of_shifts
 from calib.rooms.tracks import Track
 
 _ROUGH = 0.01  # tolerance in cost while noise is measured

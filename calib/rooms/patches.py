@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import PER_PLANE, cross, tangent_basis, unproject
+from calib.geometry import PER_PLANE, PER_POSE, cross, tangent_basis, unproject
 from calib.numerics import Floats, Ints
-from calib.refinement import PER_CORNER, PER_POSE, SHARED, Cells, FurtherPlane, PlacedCorner, predict
-from calib.rooms.room import PER_PLACE, Room
+from calib.refinement import PER_CORNER, SHARED, Cells, FurtherPlane, PlacedCorner, predict
+from calib.rooms.room import Room
 
 OWN = slice(SHARED, SHARED + PER_PLANE)  # columns of a patch for its plane in the camera's frame
 PER_PATCH = OWN.stop
@@ -72,14 +72,14 @@ class Patch:
         """
         place, plane = room.places[self.station], room.planes[self.plane]
         basis = tangent_basis(plane.normal).T
-        by_room = np.zeros((PER_PATCH, SHARED + PER_PLACE + PER_PLANE))
+        by_room = np.zeros((PER_PATCH, SHARED + PER_POSE + PER_PLANE))
         by_room[:SHARED, :SHARED] = np.eye(SHARED)
         tilts, offset = slice(OWN.start, OWN.start + 2), OWN.start + 2
-        turn, shift = slice(SHARED, SHARED + 3), slice(SHARED + 3, SHARED + PER_PLACE)
+        turn, shift = slice(SHARED, SHARED + 3), slice(SHARED + 3, SHARED + PER_POSE)
         by_room[tilts, turn] = cross(basis, plane.normal)
         by_room[offset, shift] = -plane.normal
-        by_room[OWN, SHARED + PER_PLACE :] = np.eye(PER_PLANE)
-        by_room[offset, SHARED + PER_PLACE : SHARED + PER_PLACE + 2] = -basis @ place.translation
+        by_room[OWN, SHARED + PER_POSE :] = np.eye(PER_PLANE)
+        by_room[offset, SHARED + PER_POSE : SHARED + PER_POSE + 2] = -basis @ place.translation
         return by_room
 
 

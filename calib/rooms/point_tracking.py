@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.estimation import block_inflation
 from calib.geometry import project, tangent_basis, unproject
 from calib.numerics import MEDIAN_LENGTH, Floats, Image, median
 from calib.refinement import ROBUST_SIGMAS
-from calib.rooms.contacts import block_inflation
-from calib.rooms.marks import drawn, logarithmic
+from calib.registration import log_brightness, rectify_texture
 from calib.rooms.room import Room
 from calib.rooms.tracks import Track
 
@@ -45,7 +45,7 @@ class LabelledPicture:
     @classmethod
     def of(cls, picture: Image, labels: NDArray[np.int32]) -> "LabelledPicture":
         """From the picture (H, W) or (H, W, 3) of the lit scene."""
-        return cls(logarithmic(picture), labels)
+        return cls(log_brightness(picture), labels)
 
 
 def find_tracks(
@@ -89,7 +89,7 @@ def _followed(
     inside = np.full(u.shape, 255, np.uint8)
     for station, light, on in zip(stations, lights, planes, strict=True):
         pixels = _seen_at(room, station, front.reshape(-1, 3)).reshape(*u.shape, 2)
-        drawings.append(drawn(light, on == plane, pixels))
+        drawings.append(rectify_texture(light, on == plane, pixels))
         inside &= drawings[-1][1]
     if np.count_nonzero(inside) < _LEAST_COMMON:
         return None

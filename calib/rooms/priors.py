@@ -1,10 +1,11 @@
 """What is known of a rig and of a room before any match is seen."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.estimation import squareness
 from calib.geometry import tangent_basis
 from calib.numerics import Bools, Floats
 from calib.refinement import (
@@ -16,7 +17,6 @@ from calib.refinement import (
     State,
     inverse_of,
 )
-from calib.rooms.likelihood import Layout
 from calib.rooms.room import Room
 
 _EXACTLY_SQUARE = 1e-3  # degrees; sigma of exactly square walls
@@ -139,14 +139,3 @@ class RoomPrior:
             gradient += slope * deviation
             information += np.outer(slope, slope)
         return cost, gradient, information
-
-
-def squareness(layout: Layout, pairs: Sequence[tuple[int, int]], sigma: float) -> Iterator[tuple[float, Floats]]:
-    """How far each of some pairs of planes is from perpendicular, in `sigma` (radians), and its slope (size,)."""
-    for pair in pairs:
-        normals = [layout.planes[plane].normal for plane in pair]
-        slope = np.zeros(layout.size)
-        for plane, own, other in zip(pair, normals, normals[::-1], strict=True):
-            start = layout.plane_columns(plane).start
-            slope[start : start + 2] += tangent_basis(own).T @ other / sigma
-        yield float(normals[0] @ normals[1]) / sigma, slope

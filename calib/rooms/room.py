@@ -11,11 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import PER_PLANE, Plane, Pose
+from calib.geometry import PER_PLANE, PER_POSE, Plane, Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, State
-
-PER_PLACE = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +27,15 @@ class Room:
     @property
     def size(self) -> int:
         """Number of columns."""
-        return SHARED + PER_PLACE * len(self.places) + PER_PLANE * len(self.planes)
+        return SHARED + PER_POSE * len(self.places) + PER_PLANE * len(self.planes)
 
     def place_columns(self, station: int) -> slice:
         """Columns of a station's place."""
-        return slice(SHARED + PER_PLACE * station, SHARED + PER_PLACE * (station + 1))
+        return slice(SHARED + PER_POSE * station, SHARED + PER_POSE * (station + 1))
 
     def plane_columns(self, plane: int) -> slice:
         """Columns of a plane."""
-        start = SHARED + PER_PLACE * len(self.places) + PER_PLANE * plane
+        start = SHARED + PER_POSE * len(self.places) + PER_PLANE * plane
         return slice(start, start + PER_PLANE)
 
     def moved(self, step: Floats) -> "Room":

@@ -5,15 +5,21 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.estimation import (
+    WRONG_ASSOCIATION,
+    Fit,
+    association_scores,
+    evaluate,
+    minimise,
+    rough_levels,
+    separate_plane,
+)
 from calib.finding import FindingKind
 from calib.numerics import Bools, Floats
 from calib.refusal import RefusalError
-from calib.rooms.likelihood import Fit, evaluate, minimise
-from calib.rooms.noise import rough_levels
 from calib.rooms.patches import Patch
 from calib.rooms.priors import RoomPrior
 from calib.rooms.room import Room
-from calib.rooms.ties import WRONG_TIE, tie_scores, untied
 
 _ROUNDS = 10
 _SETTLED = 0.5  # share of an approximate level, after a round that hardly lowered it
@@ -53,14 +59,14 @@ def _levels(patches: Sequence[Patch], room: Room, prior: RoomPrior) -> Floats:
 def without_wrong_ties(patches: tuple[Patch, ...], prior: RoomPrior, fit: Fit[Room], variances: list[Floats]) -> Rough:
     """The fit with separate planes for patches that are not on their assigned plane."""
     for _ in range(int(_MOST_WRONG * len(patches))):
-        scores, freedom = tie_scores(patches, fit, variances, prior.free(seen(fit.layout, patches)))
+        scores, freedom = association_scores(patches, fit, variances, prior.free(seen(fit.layout, patches)))
         per_freedom = scores / np.maximum(freedom, 1)
         tied = freedom > 0
         worst = int(np.argmax(per_freedom))
-        if not tied.any() or per_freedom[worst] < WRONG_TIE * max(float(np.median(per_freedom[tied])), 1.0):
+        if not tied.any() or per_freedom[worst] < WRONG_ASSOCIATION * max(float(np.median(per_freedom[tied])), 1.0):
             break
-        start, _ = untied(prior.start, patches, worst)
-        room, patches = untied(fit.layout, patches, worst)
+        start, _ = separate_plane(prior.start, patches, worst)
+        room, patches = separate_plane(fit.layout, patches, worst)
         patches, prior, fit, variances = fit_roughly(patches, room, replace(prior, start=start))
     return patches, prior, fit, variances
 

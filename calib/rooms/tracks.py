@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import PER_PLANE, cross, tangent_basis, unproject
+from calib.geometry import PER_PLANE, PER_POSE, cross, tangent_basis, unproject
 from calib.numerics import Bools, Floats, Ints, by_pixel, huber_loss, huber_weights
 from calib.refinement import CAMERA, ROBUST_SIGMAS, SHARED
-from calib.rooms.room import PER_PLACE, Room
+from calib.rooms.room import Room
 
-_COLUMNS = SHARED + 2 * PER_PLACE + PER_PLANE
+_COLUMNS = SHARED + 2 * PER_POSE + PER_PLANE
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +54,10 @@ class Track:
             along_ray = sign * turned @ axes / facing[:, None]
             from_camera = sign * depth[:, None, None] * (onto @ place.rotation)
             by_room[:, :, CAMERA] += from_camera @ by_camera
-            own = SHARED + PER_PLACE * i
+            own = SHARED + PER_POSE * i
             turns = np.stack([cross(at, row) for row in np.swapaxes(onto, 0, 1)], axis=1)
             by_room[:, :, own : own + 3] = sign * turns
-            by_room[:, :, own + 3 : own + PER_PLACE] = sign * onto
+            by_room[:, :, own + 3 : own + PER_POSE] = sign * onto
             by_room[:, :, -PER_PLANE:-1] -= along_ray[:, :, None] * ((at + place.translation) @ axes)[:, None]
             by_room[:, :, -1] += along_ray
             by_pixels.append(from_camera @ by_pixel(lambda seen: unproject(room.rig.camera, seen)[0], pixels))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.estimation import NoiseLevels, minimise
 from calib.finding import FindingKind
 from calib.geometry import Matches, Pose, unproject
 from calib.numerics import Floats
@@ -14,8 +15,6 @@ from calib.refinement import Noise, State, covariance_of, depths
 from calib.refusal import RefusalError
 from calib.rooms.contacts import SMOOTH, Contact, find_contacts
 from calib.rooms.estimate import NEAR, RoomEstimate, undetermined_in
-from calib.rooms.likelihood import minimise
-from calib.rooms.noise import NoiseLevels
 from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
 

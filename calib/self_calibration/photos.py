@@ -20,12 +20,11 @@ from calib.diagnostics import (
     sigmas_of,
     uncertainty_of,
 )
-from calib.geometry import Corner, Matches, Pose, TooFewMatchesError, before_the_matches, unproject
+from calib.geometry import PER_POSE, Corner, Matches, Pose, TooFewMatchesError, before_the_matches, unproject
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     ORDINARY_LENSES,
     PER_CORNER,
-    PER_POSE,
     SHARED,
     SQUARENESS_DEG,
     Cells,

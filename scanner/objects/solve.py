@@ -28,7 +28,7 @@ from calib.objects import (
 )
 from calib.pointcloud import Cloud, build_cloud
 from calib.refusal import NoMeasurementError
-from calib.rooms import NOTHING_SEEN, relative_noise
+from calib.registration import NOTHING_SEEN, relative_noise
 from scanner.configuration import Config
 from scanner.objects.contents import SolvedObject
 from scanner.reconstruction import refuse_foreign, scaled

@@ -11,7 +11,8 @@ from calib.finding import Finding
 from calib.geometry import Calibration, Plane, Pose
 from calib.numerics import Floats
 from calib.pointcloud import Cloud
-from calib.rooms import Group, Pair, RoomEstimate
+from calib.registration import Group, Pair
+from calib.rooms import RoomEstimate
 from scanner.results import Decoded
 
 

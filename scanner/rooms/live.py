@@ -11,7 +11,7 @@ import numpy as np
 from calib.geometry import Calibration, Pose
 from calib.numerics import Bools
 from calib.refusal import RefusalError
-from calib.rooms import Group, Pair, register
+from calib.registration import Group, Pair, register
 from hw.open_rig import at_place, moves_by_itself
 from scanner.capture import check_places
 from scanner.configuration import Config

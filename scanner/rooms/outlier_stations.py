@@ -13,7 +13,7 @@ import numpy as np
 from calib.finding import Finding, Severity
 from calib.geometry import Calibration
 from calib.numerics import Floats
-from calib.rooms import ANOTHER_ROOM, NO_OVERLAP, Registration
+from calib.registration import ANOTHER_ROOM, NO_OVERLAP, Registration
 from scanner.results import Decoded
 from scanner.rooms.contents import OutlierStation, Station
 from scanner.rooms.epipolar_lines import CHANGED_RIG

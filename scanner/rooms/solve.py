@@ -12,22 +12,16 @@ from calib.numerics import Floats, Ints
 from calib.pointcloud import build_cloud
 from calib.refinement import Cells, Knowledge, into_cells
 from calib.refusal import RefusalError
+from calib.registration import Group, Registration, StationView, find_keypoints, register, split_planes, station_view
 from calib.rooms import (
-    Group,
     LabelledPicture,
-    Registration,
     RigPrior,
     RoomEstimate,
-    StationView,
     SurfaceDisplacement,
     changed_extrinsics,
     disagreements,
     estimate_room,
     estimate_without_planes,
-    marks_of,
-    register,
-    split_planes,
-    station_view,
     vertex,
 )
 from scanner.configuration import Config
@@ -79,13 +73,13 @@ class CaptureView:
 
 
 def segment_capture(capture: Decoded, calibration: Calibration) -> CaptureView:
-    """A capture's planes, and the marks on them where it has a picture."""
+    """A capture's planes, and the keypoints on them where it has a picture."""
     cloud = build_cloud(capture.matches, None, calibration)
     view = station_view(cloud.points, cloud.normals, calibration.camera)
     view, plane = split_planes(view, capture.matches, calibration)
     if capture.texture is not None:
-        marks = marks_of(capture.texture, view.points, view.labels, view.planes, view.camera)
-        view = replace(view, marks=marks)
+        keypoints = find_keypoints(capture.texture, view.points, view.labels, view.planes, view.camera)
+        view = replace(view, keypoints=keypoints)
     return CaptureView(capture, view, plane)
 
 

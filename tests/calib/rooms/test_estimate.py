@@ -3,13 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.geometry import Pose
+from calib.estimation import association_scores
+from calib.geometry import PER_POSE, Pose
 from calib.numerics import CUBIC, Floats, monomials
 from calib.refinement import CAMERA, PROJECTOR, SHARED, TANGENTIAL, Cells, Shifts
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, estimate_room
-from calib.rooms.room import PER_PLACE
-from calib.rooms.ties import tie_scores
 from calib.synthetic import RoomOptions
 from tests.calib.rooms.conftest import STATIONS, Case, case_of
 
@@ -31,7 +30,7 @@ def millimetres(case: Case, room: Room) -> float:
 def test_errors_match_their_sigmas() -> None:
     cases = [case_of(seed) for seed in range(10, 10 + ROOMS)]
     off = [deviations(case) for case in cases]
-    places = slice(SHARED + PER_PLACE, SHARED + PER_PLACE * STATIONS)
+    places = slice(SHARED + PER_POSE, SHARED + PER_POSE * STATIONS)
     for part in (slice(0, SHARED), places, slice(places.stop, None)):
         assert 0.6 < np.sqrt(np.nanmean(np.concatenate([each[part] for each in off]) ** 2)) < 1.4
     assert all(case.found.residual_px.min() > 0.005 and case.found.residual_px.max() < 0.1 for case in cases)
@@ -141,7 +140,7 @@ def test_an_observation_of_another_plane_gets_its_own_plane(case: Case) -> None:
     """One station takes a box 4 cm in front of the wall for the wall."""
     found, truth = case.found, case.truth
     free = np.nan_to_num(np.diag(found.covariance)) > 0
-    _, freedom = tie_scores(found.patches, found.fit, found.levels.variances(found.patches), free)
+    _, freedom = association_scores(found.patches, found.fit, found.levels.variances(found.patches), free)
     tied = [each for each, ties in zip(found.patches, freedom, strict=True) if ties == 3 and each.station > 0]
     patch = max(tied, key=lambda each: len(each.cells))
     station, plane = patch.station, patch.plane
@@ -195,7 +194,7 @@ def test_smooth_errors_of_the_decoder_add_to_the_covariance(case: Case) -> None:
 
 def test_smooth_errors_that_residuals_would_show_are_not_assumed(case: Case) -> None:
     """These cells have no smooth errors, whatever is stated about the decoder."""
-    places = slice(SHARED + PER_PLACE, SHARED + PER_PLACE * STATIONS)
+    places = slice(SHARED + PER_POSE, SHARED + PER_POSE * STATIONS)
     before = np.sqrt(np.diag(case.found.covariance)[places])
     found = [case.estimate(shifts=[Shifts(smooth_px=smooth_px)] * STATIONS) for smooth_px in (1e-4, 0.01, 0.1)]
     larger = [float(np.median(np.sqrt(np.diag(each.covariance)[places]) / before)) for each in found]
@@ -217,7 +216,7 @@ def test_smooth_errors_widen_sigmas(case: Case) -> None:
 
     found = replace(case, cells=[bent(cells) for cells in case.cells])
     found = replace(found, found=found.estimate(shifts=[Shifts(smooth_px=smooth_px)] * STATIONS))
-    places = slice(SHARED + PER_PLACE, SHARED + PER_PLACE * STATIONS)
+    places = slice(SHARED + PER_POSE, SHARED + PER_POSE * STATIONS)
     assert np.median([noise.inflation for noise in found.found.levels.stations]) > 1.5
     assert 0.6 < np.sqrt(np.nanmean(deviations(found)[places] ** 2)) < 1.5
 

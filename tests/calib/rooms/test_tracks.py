@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.geometry import Plane, Pose
+from calib.geometry import PER_POSE, Plane, Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, State, device_of
 from calib.rooms import LabelledPicture, Room
 from calib.rooms.point_tracking import find_tracks
-from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track
 from calib.synthetic import CloudErrors, Paint, random_furnished_room, ring, seen_from
-from tests.calib.rooms.test_registration import CAMERA
+from tests.calib.registration.test_register import CAMERA
 from tests.support.numeric import gradient_of
 
 Scene = tuple[Room, list[LabelledPicture], list[tuple[int, ...]]]
@@ -75,7 +74,7 @@ def test_tracks_correct_a_station_shifted_along_a_wall(scene: Scene) -> None:
     moved = shifted(room, shift)
     for _ in range(3):
         found = find_tracks(sights, plane_of, moved)
-        own = slice(SHARED + PER_PLACE + 3, SHARED + 2 * PER_PLACE)  # where the second of a pair is
+        own = slice(SHARED + PER_POSE + 3, SHARED + 2 * PER_POSE)  # where the second of a pair is
         sums = [track.misfit(moved) for track in found]
         hessian = np.sum([each[2][own, own] for each in sums], axis=0)
         moved = shifted(moved, -np.linalg.solve(hessian, np.sum([each[1][own] for each in sums], axis=0)))

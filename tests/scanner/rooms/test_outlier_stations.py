@@ -8,7 +8,7 @@ import pytest
 
 from calib.finding import Finding, Severity
 from calib.geometry import Pose
-from calib.rooms import ANOTHER_ROOM, NO_OVERLAP, Group, Registration, UnregisteredStation
+from calib.registration import ANOTHER_ROOM, NO_OVERLAP, Group, Registration, UnregisteredStation
 from scanner.capture import CaptureMetadata
 from scanner.results import Decoded, GivenMatches
 from scanner.rooms import CHANGED_RIG

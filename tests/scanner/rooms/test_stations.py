@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Calibration, Size
-from calib.rooms import Registration, StationView, register
+from calib.registration import Registration, StationView, register
 from scanner.capture import CaptureMetadata
 from scanner.commands import main
 from scanner.configuration import Config

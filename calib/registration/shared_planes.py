@@ -11,8 +11,8 @@ import numpy as np
 
 from calib.geometry import Plane, Pose
 from calib.numerics import Floats
-from calib.rooms.agreement import compare_one
-from calib.rooms.surfaces import Surfaces
+from calib.registration.agreement import compare_one
+from calib.registration.range_view import Surfaces
 
 _FEWEST = 6
 # Largest relative distance of overlapping segments of one plane.

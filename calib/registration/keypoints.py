@@ -19,7 +19,7 @@ _DARKEST = 0.02  # share of the brightest level; logarithms of less are noise
 _BORDER_PX = 5
 
 
-def logarithmic(picture: Image) -> NDArray[np.uint8]:
+def log_brightness(picture: Image) -> NDArray[np.uint8]:
     """Of a picture (H, W) or (H, W, 3), from 0 to 255: steps of it are albedos', however much light falls on them."""
     grey = picture.mean(axis=2) if picture.ndim == 3 else picture
     bright = max(float(np.percentile(grey, 99.5)), 1.0)
@@ -29,7 +29,7 @@ def logarithmic(picture: Image) -> NDArray[np.uint8]:
     return levels
 
 
-def drawn(
+def rectify_texture(
     light: NDArray[np.uint8], on_plane: NDArray[np.bool_], pixels: Floats
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """The drawing (h, w) of camera `pixels` (h, w, 2), NaN for none; and its mask, 255 slightly inside the border of
@@ -54,7 +54,7 @@ _DESCRIPTOR = 128
 
 
 @dataclass(frozen=True, eq=False)
-class Marks:
+class Keypoints:
     """`pixels` (N, 2) of the camera; `points` (N, 3) on the planes, in the camera's frame; `labels` (N,): which plane;
     `descriptors` (N, 128), of length 1.
     """
@@ -68,33 +68,33 @@ class Marks:
         return len(self.labels)
 
 
-def no_marks() -> Marks:
+def no_keypoints() -> Keypoints:
     """Of a station without a picture."""
     nothing = np.zeros((0, _DESCRIPTOR), np.float32)
-    return Marks(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0, np.int64), nothing)
+    return Keypoints(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0, np.int64), nothing)
 
 
-def marks_of(
+def find_keypoints(
     picture: Image,
     points: NDArray[np.float32],
     labels: NDArray[np.int32],
     planes: tuple[Plane, ...],
     camera: Intrinsics,
-) -> Marks:
+) -> Keypoints:
     """Of the lit scene's picture (H, W) or (H, W, 3), on planes as of `StationView`.
 
     Raises ValueError if it does not have the size of the camera's image.
     """
     if picture.shape[:2] != labels.shape:
         raise ValueError(f"the picture must have the shape {labels.shape}, found {picture.shape[:2]}")
-    light = logarithmic(picture)
-    found = [no_marks()]
+    light = log_brightness(picture)
+    found = [no_keypoints()]
     for label, plane in enumerate(planes):
         on_plane = labels == label
         own = points[on_plane]
         if len(own) >= _LEAST_PIXELS:
             found.append(_on_plane(light, on_plane, own.astype(np.float64), label, plane, camera))
-    return Marks(
+    return Keypoints(
         np.concatenate([each.pixels for each in found]),
         np.concatenate([each.points for each in found]),
         np.concatenate([each.labels for each in found]),
@@ -102,7 +102,9 @@ def marks_of(
     )
 
 
-def described(picture: NDArray[np.uint8], mask: NDArray[np.uint8], most: int) -> tuple[Floats, NDArray[np.float32]]:
+def describe_keypoints(
+    picture: NDArray[np.uint8], mask: NDArray[np.uint8], most: int
+) -> tuple[Floats, NDArray[np.float32]]:
     """Pixels (N, 2) that stand out where a mask (H, W) is set, at most so many, and their descriptors (N, 128)."""
     finder = cv2.SIFT.create(nfeatures=most, contrastThreshold=_CONTRAST)
     keypoints, descriptors = finder.detectAndCompute(picture, mask)
@@ -113,8 +115,8 @@ def described(picture: NDArray[np.uint8], mask: NDArray[np.uint8], most: int) ->
 
 
 @lru_cache(maxsize=512)
-def alike(first: Marks, second: Marks) -> tuple[Ints, Ints]:
-    """Mutually best matching marks of two stations, (M,) of either."""
+def match_keypoints(first: Keypoints, second: Keypoints) -> tuple[Ints, Ints]:
+    """Mutually best matching keypoints of two stations, (M,) of either."""
     if min(len(first), len(second)) < 2:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     product = first.descriptors @ second.descriptors.T
@@ -137,7 +139,7 @@ def _clearly_nearest(product: NDArray[np.float32]) -> Ints:
 
 def _on_plane(
     light: NDArray[np.uint8], on_plane: NDArray[np.bool_], own: Floats, label: int, plane: Plane, camera: Intrinsics
-) -> Marks:
+) -> Keypoints:
     """`on_plane` (H, W): the plane's pixels, whose points are `own` (N, 3)."""
     axes = tangent_basis(plane.normal)
     places = own @ axes
@@ -147,7 +149,7 @@ def _on_plane(
     width, height = (np.ceil((high - low) / size).astype(int) + 1).tolist()
     u, v = np.meshgrid(low[0] + size * np.arange(width), low[1] + size * np.arange(height))
     front = np.stack([u, v], axis=-1) @ axes.T + plane.offset * plane.normal
-    drawing, mask = drawn(light, on_plane, np.where(front[..., 2:] > 0, camera.project(front), np.nan))
-    places, descriptors = described(drawing, mask, _MOST_ON_A_PLANE)
+    drawing, mask = rectify_texture(light, on_plane, np.where(front[..., 2:] > 0, camera.project(front), np.nan))
+    places, descriptors = describe_keypoints(drawing, mask, _MOST_ON_A_PLANE)
     points = (low + size * places) @ axes.T + plane.offset * plane.normal
-    return Marks(camera.project(points), points, np.full(len(points), label), descriptors)
+    return Keypoints(camera.project(points), points, np.full(len(points), label), descriptors)

@@ -3,13 +3,13 @@
 Cells deviate in projector pixels under Huber's loss, as in `calib.refinement.likelihood`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import Field, dataclass
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from calib.geometry import PER_PLANE, Plane
+from calib.geometry import PER_PLANE, Plane, tangent_basis
 from calib.numerics import Bools, Damping, Floats, Ints, Quadratic, descend
 from calib.refinement import Cells, misfit
 
@@ -170,3 +170,14 @@ def minimise(
 
     start = evaluate(parts, layout, prior, variances, joints)
     return descend(start, moved, enough, damping, _STEPS, free=np.flatnonzero(free))
+
+
+def squareness(layout: Layout, pairs: Sequence[tuple[int, int]], sigma: float) -> Iterator[tuple[float, Floats]]:
+    """How far each of some pairs of planes is from perpendicular, in `sigma` (radians), and its slope (size,)."""
+    for pair in pairs:
+        normals = [layout.planes[plane].normal for plane in pair]
+        slope = np.zeros(layout.size)
+        for plane, own, other in zip(pair, normals, normals[::-1], strict=True):
+            start = layout.plane_columns(plane).start
+            slope[start : start + 2] += tangent_basis(own).T @ other / sigma
+        yield float(normals[0] @ normals[1]) / sigma, slope

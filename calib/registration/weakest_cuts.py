@@ -14,9 +14,9 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from calib.geometry import Pose
 from calib.numerics import Floats, Ints
-from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, Agreement, compare_one, gain, nats_of_tilt
-from calib.rooms.shared_planes import shared_planes
-from calib.rooms.surfaces import Surfaces
+from calib.registration.agreement import DECIDED_NATS, NATS_OF_POSE, Agreement, compare_one, gain, nats_of_tilt
+from calib.registration.range_view import Surfaces
+from calib.registration.shared_planes import shared_planes
 
 
 @dataclass(frozen=True)

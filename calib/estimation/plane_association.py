@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from calib.estimation.likelihood import PLANE, AnyLayout, AnyPart, Fit, Part
+from calib.estimation.scores import PatchSums, reweighted, score
 from calib.geometry import PER_PLANE
 from calib.numerics import Bools, Floats
 from calib.refinement import covariance_of
-from calib.rooms.likelihood import PLANE, AnyLayout, AnyPart, Fit, Part
-from calib.rooms.scores import PatchSums, reweighted, score
 
-WRONG_TIE = 30.0  # per degree of freedom, relative to the usual value
+WRONG_ASSOCIATION = 30.0  # per degree of freedom, relative to the usual value
 
 
-def tie_scores(
+def association_scores(
     patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], variances: Sequence[Floats], free: Bools
 ) -> tuple[Floats, Floats]:
     """Rao's score, a χ² statistic, of a separate plane for each patch, and its degrees of freedom, (patches,) each.
@@ -65,7 +65,7 @@ def _score(patches: Sequence[PatchSums], covariance: Floats, step: Floats) -> tu
     return tie_score.value, tie_score.freedom
 
 
-def untied(layout: AnyLayout, parts: Sequence[AnyPart], number: int) -> tuple[AnyLayout, tuple[AnyPart, ...]]:
+def separate_plane(layout: AnyLayout, parts: Sequence[AnyPart], number: int) -> tuple[AnyLayout, tuple[AnyPart, ...]]:
     """One part on a separate plane, added to the layout's, which starts at the common one."""
     part = parts[number]
     more = replace(layout, planes=(*layout.planes, layout.planes[part.plane]))

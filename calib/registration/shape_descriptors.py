@@ -10,7 +10,7 @@ import numpy as np
 from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.open3d_module import open3d
-from calib.rooms.surfaces import Surfaces
+from calib.registration.range_view import Surfaces
 
 _VOXELS_ACROSS = 50
 _RADIUS_VOXELS, _NEIGHBOURS = 5.0, 100
@@ -19,7 +19,7 @@ _ITERATIONS, _CONFIDENCE = 50_000, 0.999
 _SEEDS = (0, 1, 2)
 
 
-def feature_poses(first: Surfaces, second: Surfaces) -> list[Pose]:
+def shape_poses(first: Surfaces, second: Surfaces) -> list[Pose]:
     """X_first = R X_second + t, as several runs suppose it. Raises ImportError where Open3D cannot be loaded."""
     o3d = open3d()
     voxel = max(_extent(first), _extent(second)) / _VOXELS_ACROSS

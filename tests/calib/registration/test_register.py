@@ -8,9 +8,9 @@ import pytest
 from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats
 from calib.pointcloud import surface
-from calib.rooms import ANOTHER_ROOM, NO_OVERLAP, NOTHING_SEEN, Registration, StationView, register, station_view
-from calib.rooms.features import feature_poses
-from calib.rooms.surfaces import surfaces_of
+from calib.registration import ANOTHER_ROOM, NO_OVERLAP, NOTHING_SEEN, Registration, StationView, register, station_view
+from calib.registration.range_view import surfaces_of
+from calib.registration.shape_descriptors import shape_poses
 from calib.synthetic import FurnishedRoom, StationCloud, moved_rig, random_furnished_room, ring, seen_from
 
 pytestmark = pytest.mark.xdist_group("registration")  # what the module shares is made once
@@ -146,7 +146,7 @@ def test_without_open3d_the_message_names_what_to_install(
 
     monkeypatch.setattr("calib.open3d_module.import_module", missing)
     with pytest.raises(ImportError, match=r"libGL\.so\.1.*apt-get install libgl1 .*libgomp1"):
-        feature_poses(surfaces_of(views[0]), surfaces_of(views[1]))
+        shape_poses(surfaces_of(views[0]), surfaces_of(views[1]))
 
 
 def test_arrays_of_another_size_are_an_error(views: list[StationView]) -> None:

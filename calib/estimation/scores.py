@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.estimation.likelihood import AnyLayout, Fit, Part
 from calib.numerics import Floats, Ints, huber_weights
 from calib.refinement import ROBUST_SIGMAS
-from calib.rooms.likelihood import AnyLayout, Fit, Part
 
 _LEAST_SHARE = 1e-3  # share of a parameter's own information below which a direction is undetermined
 

@@ -5,16 +5,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.numerics import CUBIC, MEDIAN_LENGTH, TERMS, Bools, Floats, huber_weights, median, monomials, normalisation
+from calib.estimation.likelihood import AnyLayout, Fit, Part
+from calib.estimation.plane_association import plane_scores
+from calib.numerics import (
+    CUBIC,
+    MEDIAN_LENGTH,
+    TERMS,
+    Bools,
+    Floats,
+    Ints,
+    huber_weights,
+    median,
+    monomials,
+    normalisation,
+)
 from calib.refinement import Cells, Noise, joined, long_waves, noise_of, overdispersion
-from calib.rooms.likelihood import AnyLayout, Fit, Part
-from calib.rooms.ties import plane_scores
 
 _LEAST_PX = 1e-3
 _OUT_OF_LINE = 4.0  # long waves of a patch over the median of its station: beyond this, the plane is uneven
 _BENT = 0.999
 UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # for a station without cells
 _LOUD = 10.0  # sigmas; a cell with a larger residual does not affect the smooth part further
+_BLOCKS = 5  # blocks along either side of a view, within which errors correlate
+_FEWEST_IN_BLOCK = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,3 +159,18 @@ def _together(parts: Sequence[Cells]) -> Cells:
     for part in parts[1:]:
         whole = joined(whole, part)
     return whole
+
+
+def block_inflation(pixel: Floats, relative: Floats) -> float:
+    """Factor on variances for errors (N,), in sigmas, that correlate within blocks of pixels (N, 2)."""
+    block = blocks_of(pixel)
+    count, total = np.bincount(block), np.bincount(block, relative)
+    full = count >= _FEWEST_IN_BLOCK
+    return max(1.0, float(np.mean(total[full] ** 2 / count[full]))) if full.any() else 1.0
+
+
+def blocks_of(pixel: Floats) -> Ints:
+    """The number (N,) of the block that each pixel (N, 2) is in."""
+    place = ((pixel - pixel.min(axis=0)) / (np.ptp(pixel, axis=0) + 1e-9) * _BLOCKS).astype(np.int64)
+    number: Ints = place[:, 0] * (_BLOCKS + 1) + place[:, 1]
+    return number

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.estimation.likelihood import AnyLayout, Fit, Part
+from calib.estimation.noise import NoiseLevels
 from calib.numerics import CUBIC, Bools, Floats, by_pixel, orthonormal_polynomials
 from calib.refinement import Shifts
-from calib.rooms.likelihood import AnyLayout, Fit, Part
-from calib.rooms.noise import NoiseLevels
 
 
 def covariance_of_shifts(

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
+from calib.estimation import Fit, association_scores, minimise, plane_scores
 from calib.numerics import Bools, Floats
 from calib.rooms import Room
-from calib.rooms.likelihood import Fit, minimise
 from calib.rooms.priors import RoomPrior
-from calib.rooms.ties import plane_scores, tie_scores
 from tests.calib.rooms.conftest import Case
-from tests.calib.rooms.test_likelihood import prior_of
+from tests.calib.rooms.test_priors import prior_of
 
 LOUD = 25.0
 
@@ -45,7 +44,7 @@ def test_plane_scores_are_chi_square_distributed(case: Case, prior: RoomPrior, f
     count = np.bincount([patch.plane for patch in patches], minlength=len(scores))
     assert np.all(freedom[count == 1] == 0)
     assert np.all(freedom[count > 1] <= 3 * (count[count > 1] - 1))
-    of_patches, own_freedom = tie_scores(patches, fit, flat, free)
+    of_patches, own_freedom = association_scores(patches, fit, flat, free)
     planes = np.array([patch.plane for patch in patches])
     same = (count[planes] == 2) & (freedom[planes] == 3) & (own_freedom == 3)
     assert np.count_nonzero(same) > 1

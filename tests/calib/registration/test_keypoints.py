@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.rooms import StationView, marks_of, register
-from calib.rooms.marked_poses import marked_poses
-from calib.rooms.marks import Marks, alike
-from calib.rooms.surfaces import surfaces_of
+from calib.registration import StationView, find_keypoints, register
+from calib.registration.keypoint_poses import keypoint_poses
+from calib.registration.keypoints import Keypoints, match_keypoints
+from calib.registration.range_view import surfaces_of
 from calib.synthetic import Paint, StationCloud, random_furnished_room, ring, seen_from
-from tests.calib.rooms.test_registration import CAMERA, off, view_of
+from tests.calib.registration.test_register import CAMERA, off, view_of
 
 
-def with_marks(station: StationCloud) -> StationView:
+def with_keypoints(station: StationCloud) -> StationView:
     view = view_of(station)
-    return replace(view, marks=marks_of(station.picture, view.points, view.labels, view.planes, view.camera))
+    return replace(view, keypoints=find_keypoints(station.picture, view.points, view.labels, view.planes, view.camera))
 
 
 @pytest.fixture(scope="module")
@@ -29,13 +29,13 @@ def painted() -> list[StationCloud]:
 
 @pytest.fixture(scope="module")
 def views(painted: list[StationCloud]) -> list[StationView]:
-    return [with_marks(station) for station in painted]
+    return [with_keypoints(station) for station in painted]
 
 
 def test_matching_marks_are_paired(painted: list[StationCloud], views: list[StationView]) -> None:
     pose = painted[0].place.inverse() @ painted[1].place
-    first, second = views[0].marks, views[1].marks
-    own, other = alike(first, second)
+    first, second = views[0].keypoints, views[1].keypoints
+    own, other = match_keypoints(first, second)
     moved = pose @ second.points[other]
     far, depth = np.linalg.norm(moved - first.points[own], axis=1), first.points[own, 2]
     assert len(far) >= 12
@@ -46,7 +46,7 @@ def test_matching_marks_are_paired(painted: list[StationCloud], views: list[Stat
 
 
 def test_marks_alone_determine_the_pose(painted: list[StationCloud], views: list[StationView]) -> None:
-    poses = marked_poses(*(surfaces_of(view) for view in views[:2]))
+    poses = keypoint_poses(*(surfaces_of(view) for view in views[:2]))
     degrees, metres = off(poses[0], painted[0].place.inverse() @ painted[1].place)
     assert 1e-3 < degrees < 0.8
     assert 1e-4 < metres < 0.04
@@ -63,18 +63,18 @@ def test_pictures_resolve_a_bare_room(painted: list[StationCloud], views: list[S
 
 
 def test_repeated_marks_are_not_used(views: list[StationView]) -> None:
-    marks = views[0].marks
-    twice = Marks(
-        np.tile(marks.pixels, (2, 1)),
-        np.tile(marks.points, (2, 1)),
-        np.tile(marks.labels, 2),
-        np.tile(marks.descriptors, (2, 1)),
+    keypoints = views[0].keypoints
+    twice = Keypoints(
+        np.tile(keypoints.pixels, (2, 1)),
+        np.tile(keypoints.points, (2, 1)),
+        np.tile(keypoints.labels, 2),
+        np.tile(keypoints.descriptors, (2, 1)),
     )
-    assert len(alike(marks, marks)[0]) > 0.8 * len(marks)
-    assert len(alike(marks, twice)[0]) == 0
+    assert len(match_keypoints(keypoints, keypoints)[0]) > 0.8 * len(keypoints)
+    assert len(match_keypoints(keypoints, twice)[0]) == 0
 
 
 def test_a_picture_of_another_size_is_an_error(painted: list[StationCloud], views: list[StationView]) -> None:
     view = views[0]
     with pytest.raises(ValueError, match=r"\(256, 306\)"):
-        marks_of(painted[0].picture[1:], view.points, view.labels, view.planes, view.camera)
+        find_keypoints(painted[0].picture[1:], view.points, view.labels, view.planes, view.camera)

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from calib.geometry import Pose
-from calib.rooms import SOMETHING_MOVED
-from calib.rooms.agreement import DECIDED_NATS
-from calib.rooms.alignment import settled_together
-from calib.rooms.assembly import gain_of
-from calib.rooms.cuts import firmly_connected, weakest_cut
-from calib.rooms.misfits import worst_misfit
-from calib.rooms.surfaces import Surfaces, surfaces_of
+from calib.registration import SOMETHING_MOVED
+from calib.registration.agreement import DECIDED_NATS
+from calib.registration.alignment import align_jointly
+from calib.registration.assembly import gain_of
+from calib.registration.outlier_stations import worst_misfit
+from calib.registration.range_view import Surfaces, surfaces_of
+from calib.registration.weakest_cuts import firmly_connected, weakest_cut
 from calib.synthetic import moved_rig
-from tests.calib.rooms.test_registration import stations_in, view_of
+from tests.calib.registration.test_register import stations_in, view_of
 
 pytestmark = pytest.mark.xdist_group("registration")  # shares its stations
 
@@ -60,7 +60,7 @@ def test_a_changed_rig_is_the_outlier(scene: Scene) -> None:
     surfaces, places = scene
     _, stations = stations_in(0, 4)
     changed = {**surfaces, 1: surfaces_of(view_of(moved_rig(stations[1], 0.08)))}
-    worst = worst_misfit(changed, settled_together(changed, places))
+    worst = worst_misfit(changed, align_jointly(changed, places))
     assert worst is not None
     assert worst.station == 1
     assert worst.finding is not None

@@ -13,11 +13,11 @@ import numpy as np
 
 from calib.geometry import IDENTITY, Pose, nearest_rotation
 from calib.numerics import Bools, Floats, Ints, distinct
-from calib.rooms.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
-from calib.rooms.alignment import normal_equations, settled
-from calib.rooms.features import feature_poses
-from calib.rooms.marked_poses import marked_poses
-from calib.rooms.surfaces import Surfaces
+from calib.registration.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
+from calib.registration.alignment import align, normal_equations
+from calib.registration.keypoint_poses import keypoint_poses
+from calib.registration.range_view import Surfaces
+from calib.registration.shape_descriptors import shape_poses
 
 _MOST_PLANES = 14
 _LIKE_ANGLES = np.radians(4.0)
@@ -46,12 +46,12 @@ class Hypothesis:
 def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
     """Relative poses of two stations that are worth following up, best first.
 
-    Marks of the pictures suggest some. Features of the surfaces are asked where planes are too few to fix a pose; and
+    Keypoints of the pictures suggest some. Descriptors of the surfaces are asked where planes are too few to fix a pose; and
     the rig may hardly have been moved at all.
     """
-    by_planes, further = _suggested(first, second), [IDENTITY, *marked_poses(first, second)]
+    by_planes, further = _suggested(first, second), [IDENTITY, *keypoint_poses(first, second)]
     if min(_fixed_directions(first), _fixed_directions(second)) < 3:
-        further += feature_poses(first, second)
+        further += shape_poses(first, second)
     poses = Pose.concatenate([by_planes, Pose.stack(further)])
     coarse = compare(first, second, poses, COARSE, _COARSE_PATCHES)
     thinned = max(1.0, len(first.patches) / _COARSE_PATCHES)
@@ -76,7 +76,7 @@ def _fixed_directions(surfaces: Surfaces) -> int:
 
 def refined(first: Surfaces, second: Surfaces, pose: Pose) -> Pose:
     """The pose at which the second station's surfaces fit the first one's."""
-    return settled(second, pose, [(first, IDENTITY)], (COARSE, FINE), _SETTLING_PATCHES)
+    return align(second, pose, [(first, IDENTITY)], (COARSE, FINE), _SETTLING_PATCHES)
 
 
 def _slid(first: Surfaces, second: Surfaces, pose: Pose) -> Pose:
@@ -90,7 +90,7 @@ def _slid(first: Surfaces, second: Surfaces, pose: Pose) -> Pose:
     best = int(np.argmax(gain([compare(first, second, poses, FINE)])))
     if steps[best] == 0.0:
         return pose
-    return settled(second, poses[best], [(first, IDENTITY)], (FINE,), _SETTLING_PATCHES)
+    return align(second, poses[best], [(first, IDENTITY)], (FINE,), _SETTLING_PATCHES)
 
 
 def judged(first: Surfaces, second: Surfaces, pose: Pose) -> Hypothesis:

@@ -10,10 +10,10 @@ from typing import Generic
 
 import numpy as np
 
+from calib.estimation.likelihood import AnyLayout, Fit, Part
+from calib.estimation.noise import NoiseLevels
 from calib.geometry import tangent_basis
 from calib.numerics import CUBIC, Bools, Floats, Ints, orthonormal_polynomials
-from calib.rooms.likelihood import AnyLayout, Fit, Part
-from calib.rooms.noise import NoiseLevels
 
 _ORDERS = 6  # half-waves along either side of the visible part of a plane
 _LEAST_LEFT = 1e-3  # share of the waves left by the fit; with less, residuals do not determine their heights

@@ -13,9 +13,9 @@ import numpy as np
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Pose
 from calib.numerics import Floats
-from calib.rooms.agreement import COARSE, compare_one
-from calib.rooms.alignment import normal_equations
-from calib.rooms.surfaces import Surfaces
+from calib.registration.agreement import COARSE, compare_one
+from calib.registration.alignment import normal_equations
+from calib.registration.range_view import Surfaces
 
 _MOST_CONTRADICTION = 0.05
 _MOST_TIMES_WORSE = 1.8

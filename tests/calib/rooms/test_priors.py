@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from calib.estimation import evaluate
 from calib.refinement import ORDINARY_LENSES, ROTATION, SHARED, Knowledge, KnownRig
 from calib.rooms import RigPrior, Room
-from calib.rooms.likelihood import evaluate
 from calib.rooms.patches import patches_of
 from calib.rooms.priors import RoomPrior
 from tests.calib.rooms.conftest import Case

@@ -8,14 +8,13 @@ import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import IDENTITY, Plane, Pose
-from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
-from calib.rooms.alignment import normal_equations
-from calib.rooms.assembly import Assembly, Edges, assemble
-from calib.rooms.hypotheses import hypotheses, judged, refined
-from calib.rooms.misfits import ANOTHER_ROOM, worst_misfit
-from calib.rooms.shared_planes import shared_planes
-from calib.rooms.station import StationView
-from calib.rooms.surfaces import Surfaces, surfaces_of
+from calib.registration.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
+from calib.registration.alignment import normal_equations
+from calib.registration.assembly import Assembly, Edges, assemble
+from calib.registration.hypotheses import hypotheses, judged, refined
+from calib.registration.outlier_stations import ANOTHER_ROOM, worst_misfit
+from calib.registration.range_view import StationView, Surfaces, surfaces_of
+from calib.registration.shared_planes import shared_planes
 
 _MOST_ALTERNATIVES = 4
 _LEAST_OVERLAP = 0.01

@@ -11,11 +11,20 @@ import numpy as np
 
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Bools, distinct
-from calib.rooms.agreement import COARSE, DECIDED_NATS, FINE, NATS_OF_POSE, compare, compare_one, gain, nats_of_tilt
-from calib.rooms.alignment import settled, settled_together
-from calib.rooms.cuts import firmly_connected
-from calib.rooms.hypotheses import Hypothesis
-from calib.rooms.surfaces import Surfaces
+from calib.registration.agreement import (
+    COARSE,
+    DECIDED_NATS,
+    FINE,
+    NATS_OF_POSE,
+    compare,
+    compare_one,
+    gain,
+    nats_of_tilt,
+)
+from calib.registration.alignment import align, align_jointly
+from calib.registration.hypotheses import Hypothesis
+from calib.registration.range_view import Surfaces
+from calib.registration.weakest_cuts import firmly_connected
 
 _BEAM, _TRIED, _SETTLED = 12, 60, 3
 _COMPARED = 4
@@ -100,10 +109,10 @@ def _distinct(assemblies: Sequence[Assembly], size: float) -> list[Assembly]:
     """The best, each unlike the better ones."""
     ordered = sorted(assemblies, key=lambda assembly: -assembly.nats)
 
-    def alike(k: int) -> Bools:
+    def are_like(k: int) -> Bools:
         return np.array([assembly.like(ordered[k], size) for assembly in ordered])
 
-    return [ordered[k] for k in distinct(len(ordered), alike, _BEAM)]
+    return [ordered[k] for k in distinct(len(ordered), are_like, _BEAM)]
 
 
 def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[int], group: Assembly) -> list[Assembly]:
@@ -130,7 +139,7 @@ def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[in
             continue
         count[k] = count.get(k, 0) + 1
         others = [(surfaces[member], at) for member, at in group.places.items()]
-        place = settled(surfaces[k], place, others, (COARSE, FINE), _PATCHES)
+        place = align(surfaces[k], place, others, (COARSE, FINE), _PATCHES)
         more = gain_of(surfaces, group.places, k, place)
         if more > DECIDED_NATS:
             grown.append(Assembly({**group.places, k: place}, group.nats + more))
@@ -158,7 +167,7 @@ def _together(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:
     """All stations moved until they fit best together, and judged again."""
     members = dict(sorted(group.places.items()))
     first = next(iter(members.values())).inverse()
-    places = settled_together({k: surfaces[k] for k in members}, {k: first @ place for k, place in members.items()})
+    places = align_jointly({k: surfaces[k] for k in members}, {k: first @ place for k, place in members.items()})
     places = {k: places[k] for k in group.places}
     return Assembly(places, _nats(surfaces, places))
 

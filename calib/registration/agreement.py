@@ -7,7 +7,7 @@ it is hidden or out of sight, it is neutral.
 The evidence is in nats, as a description length. Common surfaces need fewer numbers: a plane that need not be described
 again saves about log(size of a room / tolerance), however large it is, and slightly more for every patch, because each
 could have contradicted. A patch on no plane saves little, because it resembles its neighbours. The pose has to be
-described instead. Each contradicting patch has a cost. Matching marks of the pictures that coincide count likewise
+described instead. Each contradicting patch has a cost. Matching keypoints of the pictures that coincide count likewise
 along the planes.
 """
 
@@ -18,9 +18,8 @@ import numpy as np
 
 from calib.geometry import Pose
 from calib.numerics import Floats, Ints, compiled
-from calib.rooms.marks import alike
-from calib.rooms.projection import pixel_under, rotated
-from calib.rooms.surfaces import Surfaces
+from calib.registration.keypoints import match_keypoints
+from calib.registration.range_view import Surfaces, pixel_under, rotate_vector
 
 # Relative depth, beyond three sigmas of noise: error of a calibration, and of a pose before refinement.
 FINE, COARSE = 0.012, 0.03
@@ -28,8 +27,8 @@ _FREE = 0.015  # a patch farther than this in front of a surface violates free s
 NATS_PER_PLANE, _PATCHES_PER_PLANE = 6.0, 10.0
 _NATS_PER_PLANE_PATCH, NATS_PER_PATCH, NATS_PER_CONTRADICTION = 0.008, 0.1, 1.0
 NATS_OF_POSE = 17.0
-# Marks of a repeated pattern match by the dozen: the first few have no weight, and the total is limited.
-_NATS_PER_MARK, _MARKS_BY_CHANCE, _MOST_NATS_OF_MARKS = 2.0, 4, 30.0
+# Keypoints of a repeated pattern match by the dozen: the first few have no weight, and the total is limited.
+_NATS_PER_KEYPOINT, _MARKS_BY_CHANCE, _MOST_NATS_OF_MARKS = 2.0, 4, 30.0
 # The best solution must be 1000 times as likely as the next.
 DECIDED_NATS = float(np.log(1000.0))
 _UPRIGHT_SIGMA = np.radians(45.0)
@@ -40,13 +39,13 @@ _CONTRADICTS, _HIDDEN, _FATES = 0, 1, 2
 @dataclass(frozen=True)
 class Agreement:
     """Of K poses. `matched` (K, P + 1, Q + 1): patches that agree, by the planes in either station they are on, the
-    last for none; `contradicting`, `hidden` (K,): patches. `marks` (K,): those of the pictures that agree.
+    last for none; `contradicting`, `hidden` (K,): patches. `keypoints` (K,): those of the pictures that agree.
     """
 
     matched: Ints
     contradicting: Ints
     hidden: Ints
-    marks: Ints
+    keypoints: Ints
 
     @property
     def agreeing(self) -> Ints:
@@ -64,8 +63,8 @@ class Agreement:
 def gain(seen: Sequence[Agreement], thinned: float = 1.0) -> Floats:
     """Evidence for a station in nats, (K,), given several others, in K poses: `seen` as second station with each.
 
-    A plane that several others share counts once; any of them can contradict it. Marks count that it shares with one of
-    them.
+    A plane that several others share counts once; any of them can contradict it. Keypoints count that it
+    shares with one of them.
     """
     on_planes = sum(each.matched[:, :-1, :-1].sum(axis=1) for each in seen) * thinned
     planes = NATS_PER_PLANE * np.sum(1 - np.exp(-on_planes / _PATCHES_PER_PLANE), axis=1)
@@ -75,12 +74,12 @@ def gain(seen: Sequence[Agreement], thinned: float = 1.0) -> Floats:
     worth: Floats = planes + thinned * (
         np.max(_NATS_PER_PLANE_PATCH * shared + NATS_PER_PATCH * others, axis=0) - NATS_PER_CONTRADICTION * against
     )
-    with_marks: Floats = worth + np.max([_nats_of_marks(each.marks) for each in seen], axis=0)
-    return with_marks
+    with_keypoints: Floats = worth + np.max([_nats_of_keypoints(each.keypoints) for each in seen], axis=0)
+    return with_keypoints
 
 
-def _nats_of_marks(count: Ints) -> Floats:
-    return np.clip(_NATS_PER_MARK * (count - _MARKS_BY_CHANCE), 0.0, _MOST_NATS_OF_MARKS)
+def _nats_of_keypoints(count: Ints) -> Floats:
+    return np.clip(_NATS_PER_KEYPOINT * (count - _MARKS_BY_CHANCE), 0.0, _MOST_NATS_OF_MARKS)
 
 
 def nats_of_tilt(poses: Pose) -> Floats:
@@ -103,16 +102,16 @@ def compare(
     fates = np.zeros((count, _FATES), np.int64)
     _look(second, first, poses, tolerance, patches, matched.transpose(0, 2, 1), fates)
     _look(first, second, poses.inverse(), tolerance, patches, matched, fates)
-    marks = _marks(first, second, poses, tolerance)
-    return Agreement(matched, fates[:, _CONTRADICTS], fates[:, _HIDDEN], marks)
+    keypoints = _keypoints(first, second, poses, tolerance)
+    return Agreement(matched, fates[:, _CONTRADICTS], fates[:, _HIDDEN], keypoints)
 
 
-def _marks(first: Surfaces, second: Surfaces, poses: Pose, tolerance: float) -> Ints:
-    """Number of matching marks that coincide, (K,)."""
-    own, matching = alike(first.marks, second.marks)
+def _keypoints(first: Surfaces, second: Surfaces, poses: Pose, tolerance: float) -> Ints:
+    """Number of matching keypoints that coincide, (K,)."""
+    own, matching = match_keypoints(first.keypoints, second.keypoints)
     if len(own) <= _MARKS_BY_CHANCE:
         return np.zeros(len(poses.translation), np.int64)
-    here, there = first.marks.points[own], second.marks.points[matching]
+    here, there = first.keypoints.points[own], second.keypoints.points[matching]
     off = poses @ there - here
     count: Ints = np.count_nonzero(np.linalg.norm(off, axis=2) < tolerance * here[:, 2], axis=1)
     return count
@@ -174,7 +173,7 @@ def _look_through(
     for k in range(len(rotations)):
         r, t = rotations[k], translations[k]
         for m in range(len(patches)):
-            x, y, z = rotated(r, patches[m])
+            x, y, z = rotate_vector(r, patches[m])
             x, y, z = x + t[0], y + t[1], z + t[2]
             i, j = pixel_under(x, y, z, lens, height, width)
             if i < 0:
@@ -185,7 +184,7 @@ def _look_through(
             within = depth * (tolerance + noise * depth)
             p, q, s = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
             off = p * (x - points[i, j, 0]) + q * (y - points[i, j, 1]) + s * (z - depth)
-            e, f, g = rotated(r, patch_normals[m])
+            e, f, g = rotate_vector(r, patch_normals[m])
             like = p * e + q * f + s * g
             if np.abs(off) < within and np.abs(z - depth) < 6 * within:
                 if like > _LIKE:

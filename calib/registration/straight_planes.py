@@ -12,8 +12,8 @@ import numpy as np
 from calib.geometry import Calibration, Intrinsics, Matches, Plane, TooFewMatchesError
 from calib.numerics import Bools, Ints, evenly
 from calib.refinement import follow_one_plane
-from calib.rooms.segments import NO_PLANE
-from calib.rooms.station import StationView
+from calib.registration.range_view import StationView
+from calib.registration.segments import NO_PLANE
 
 _LEAST_MATCHES, _LEAST_SHARE = 200, 0.02  # share of a station's matches on planes
 _MOST_PIECES = 3

@@ -2,7 +2,7 @@
 camera.
 
 Chen and Medioni, "Object modelling by registration of multiple range images", 1992; the closest point is searched along
-the other camera's ray (Blais and Levine 1995), without a search tree. Matching marks of the pictures are included.
+the other camera's ray (Blais and Levine 1995), without a search tree. Matching keypoints of the pictures are included.
 Poses move by twists of the room's frame: a rotation ω and a translation v take X to X + ω × X + v.
 """
 
@@ -14,10 +14,9 @@ import numpy as np
 
 from calib.geometry import Pose, cross_matrix
 from calib.numerics import Floats, compiled
-from calib.rooms.agreement import FINE
-from calib.rooms.marks import alike
-from calib.rooms.projection import pixel_under, rotated
-from calib.rooms.surfaces import Surfaces
+from calib.registration.agreement import FINE
+from calib.registration.keypoints import match_keypoints
+from calib.registration.range_view import Surfaces, pixel_under, rotate_vector
 
 _LIKE = float(np.cos(np.radians(35.0)))
 # Undetermined directions of a station do not move: damping relative to the determined ones.
@@ -29,8 +28,8 @@ _CONVERGED = 1e-6
 @dataclass(frozen=True)
 class NormalEquations:
     """Of the twist of one station against another: `matrix` (6, 6), `gradient` (6,), sums over `count` patches of
-    squared relative distances, whose weighted sum is `square`; `weight` is the sum of the weights. Of marks there is
-    something in the first two only.
+    squared relative distances, whose weighted sum is `square`; `weight` is the sum of the weights. Of keypoints there
+    is something in the first two only.
     """
 
     matrix: Floats
@@ -75,16 +74,16 @@ def normal_equations(
         )
         part[:, 6] *= sign
         sums += part
-    sums += _of_marks(moving, place, still, still_place, tolerance)
+    sums += _of_keypoints(moving, place, still, still_place, tolerance)
     return NormalEquations(sums[:, :6], sums[:, 6], float(scalars[0]), float(scalars[1]), int(scalars[2]))
 
 
-def _of_marks(moving: Surfaces, place: Pose, still: Surfaces, still_place: Pose, tolerance: float) -> Floats:
-    """Normal matrix and gradient (6, 7) of matching marks that should coincide, with Tukey's weights."""
-    own, other = alike(moving.marks, still.marks)
-    points = place @ moving.marks.points[own]
-    off = points - still_place @ still.marks.points[other]
-    depth = moving.marks.points[own, 2]
+def _of_keypoints(moving: Surfaces, place: Pose, still: Surfaces, still_place: Pose, tolerance: float) -> Floats:
+    """Normal matrix and gradient (6, 7) of matching keypoints that should coincide, with Tukey's weights."""
+    own, other = match_keypoints(moving.keypoints, still.keypoints)
+    points = place @ moving.keypoints.points[own]
+    off = points - still_place @ still.keypoints.points[other]
+    depth = moving.keypoints.points[own, 2]
     relative = np.linalg.norm(off, axis=1) / (tolerance * depth)
     near = relative < 1
     if not near.any():
@@ -98,7 +97,7 @@ def _of_marks(moving: Surfaces, place: Pose, still: Surfaces, still_place: Pose,
     return sums
 
 
-def settled(
+def align(
     moving: Surfaces,
     place: Pose,
     others: Sequence[tuple[Surfaces, Pose]],
@@ -120,7 +119,7 @@ def settled(
     return place
 
 
-def settled_together(stations: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> dict[int, Pose]:
+def align_jointly(stations: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> dict[int, Pose]:
     """All places at once; the first station's stays."""
     now = dict(places)
     names = list(now)
@@ -129,7 +128,7 @@ def settled_together(stations: Mapping[int, Surfaces], places: Mapping[int, Pose
         found = {(a, b): normal_equations(stations[a], now[a], stations[b], now[b], FINE) for a, b in pairs}
         pairs = [pair for pair in pairs if found[pair].count > 0]
         between = [(names.index(a), names.index(b), found[a, b].matrix, found[a, b].gradient) for a, b in pairs]
-        matrix, gradient = coupled(between, len(names))
+        matrix, gradient = couple_poses(between, len(names))
         damping = _DAMPING * np.diag(matrix)[6:] + 1e-12
         twists = -np.linalg.solve(matrix[6:, 6:] + np.diag(damping), gradient[6:]).reshape(-1, 6).astype(np.float64)
         for name, twist in zip(names[1:], twists, strict=True):
@@ -139,7 +138,7 @@ def settled_together(stations: Mapping[int, Surfaces], places: Mapping[int, Pose
     return now
 
 
-def coupled(between: Iterable[tuple[int, int, Floats, Floats]], count: int) -> tuple[Floats, Floats]:
+def couple_poses(between: Iterable[tuple[int, int, Floats, Floats]], count: int) -> tuple[Floats, Floats]:
     """Matrix (6 n, 6 n) and gradient (6 n,) of the twists of all places, from those by the first twist of each pair,
     whose numbers come before them; the second one has the opposite effect.
     """
@@ -191,7 +190,7 @@ def _add_up(
     t = camera_rotation.T @ (translation - camera_translation)
     j6 = np.empty(6)
     for m in range(len(patches)):
-        x, y, z = rotated(r, patches[m])
+        x, y, z = rotate_vector(r, patches[m])
         x, y, z = x + t[0], y + t[1], z + t[2]
         i, j = pixel_under(x, y, z, lens, height, width)
         if i < 0:
@@ -204,7 +203,7 @@ def _add_up(
         off = p * (x - points[i, j, 0]) + q * (y - points[i, j, 1]) + s * (z - depth)
         if not (np.abs(off) < within and np.abs(z - depth) < 6 * within):
             continue
-        e0, e1, e2 = rotated(r, patch_normals[m])
+        e0, e1, e2 = rotate_vector(r, patch_normals[m])
         like = p * e0 + q * e1 + s * e2
         if not like > _LIKE:
             continue
