@@ -48,10 +48,10 @@ def covariance_of_waves(
         )
         if left < _LEAST_LEFT * whole:
             continue
-        seen = sum(waves.energy() for waves in on_plane)
+        energy = sum(waves.energy() for waves in on_plane)
         # Variances on the plane were enlarged by the waves; this is the noise without them.
         noise = len(on_plane) * CUBIC / levels.planes[plane]
-        variance = max(seen - noise, 0.0) / left
+        variance = max(energy - noise, 0.0) / left
         covariance += variance * moved @ moved.T
         heights[plane] = np.sqrt(variance * np.mean(np.sum(np.concatenate(modes) ** 2, axis=1)))
     return covariance, heights
@@ -94,7 +94,7 @@ def modes_over(points: Sequence[Floats], normal: Floats, margin: float = 0.0) ->
     """Cosines over the bounding rectangle of the points (M, 3) of each patch on a plane, with heights proportional to
     their lengths. `margin`: around it, of its longer side.
     """
-    places = [each @ tangent_basis(normal) for each in points]
+    places = [positions @ tangent_basis(normal) for positions in points]
     every = np.concatenate(places)
     sides = np.maximum(np.ptp(every, axis=0), 1e-12)
     low, sides = every.min(axis=0) - margin * sides.max(), sides + 2 * margin * sides.max()

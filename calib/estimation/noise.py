@@ -80,11 +80,11 @@ def measured(
     stations = []
     for station, times in enumerate(repeats):
         own = [i for i, patch in enumerate(patches) if patch.capture == station]
-        seen, residuals = [patches[i].cells for i in own], [fit.residuals[i] for i in own]
-        noise, waves[own] = of_station(seen, residuals, absorbed) if own else (UNKNOWN, np.nan)
+        cells, residuals = [patches[i].cells for i in own], [fit.residuals[i] for i in own]
+        noise, waves[own] = of_station(cells, residuals, absorbed) if own else (UNKNOWN, np.nan)
         stations.append(replace(noise, repeats=times))
-    others = len({patch.capture for patch in patches}) - 1 if one_rig else 0
-    alike = 1 + (_coherence(patches, fit, stations) * others if others else 0.0)
+    further_stations = len({patch.capture for patch in patches}) - 1 if one_rig else 0
+    alike = 1 + (_coherence(patches, fit, stations) * further_stations if further_stations else 0.0)
     flat = NoiseLevels(tuple(stations), np.ones(len(fit.layout.planes)), alike)
     of_stations = np.array([stations[patch.capture].inflation for patch in patches])
     by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.layout)

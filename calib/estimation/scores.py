@@ -85,9 +85,9 @@ def score(slope: Floats, information: Floats, across: Floats, covariance: Floats
     room's columns, `across` (P, size), H⁻¹ the room's `covariance` (size, size).
     """
     slope = slope + across @ step
-    left = information - across @ covariance @ across.T
+    remaining = information - across @ covariance @ across.T
     scale = np.sqrt(np.diag(information))
-    shares, directions = np.linalg.eigh(left / np.outer(scale, scale))
+    shares, directions = np.linalg.eigh(remaining / np.outer(scale, scale))
     determined = shares > _LEAST_SHARE
     pull = (directions.T @ (slope / scale))[determined]
     value = float(np.sum(pull**2 / shares[determined]))

@@ -106,7 +106,7 @@ class OverlapEvidence:
 
     @property
     def worth(self) -> float:
-        """In patches. Wrong poses agree for the most part, too: one against outweighs several; keypoints count for many."""
+        """In patches. Wrong poses agree for the most part, too: one against outweighs several. Keypoints weigh much."""
         return self.agreeing - _PER_AGAINST * self.against + _PER_KEYPOINT * max(0, self.keypoints - _BY_CHANCE)
 
     @property

@@ -60,21 +60,23 @@ class Agreement:
         return share
 
 
-def gain(seen: Sequence[Agreement], thinned: float = 1.0) -> Floats:
-    """Evidence for a station in nats, (K,), given several others, in K poses: `seen` as second station with each.
+def gain(agreements: Sequence[Agreement], thinned: float = 1.0) -> Floats:
+    """Evidence for a station in nats, (K,), given several others, in K poses: as the second station of `agreements`.
 
     A plane that several others share counts once; any of them can contradict it. Keypoints count that it
     shares with one of them.
     """
-    on_planes = sum(each.matched[:, :-1, :-1].sum(axis=1) for each in seen) * thinned
+    on_planes = sum(agreement.matched[:, :-1, :-1].sum(axis=1) for agreement in agreements) * thinned
     planes = NATS_PER_PLANE * np.sum(1 - np.exp(-on_planes / _PATCHES_PER_PLANE), axis=1)
-    shared = np.stack([each.matched[:, :-1, :-1].sum(axis=(1, 2)) for each in seen])
-    others = np.stack([each.agreeing for each in seen]) - shared
-    against = sum(each.contradicting for each in seen)
+    shared = np.stack([agreement.matched[:, :-1, :-1].sum(axis=(1, 2)) for agreement in agreements])
+    off_planes = np.stack([agreement.agreeing for agreement in agreements]) - shared
+    against = sum(agreement.contradicting for agreement in agreements)
     worth: Floats = planes + thinned * (
-        np.max(_NATS_PER_PLANE_PATCH * shared + NATS_PER_PATCH * others, axis=0) - NATS_PER_CONTRADICTION * against
+        np.max(_NATS_PER_PLANE_PATCH * shared + NATS_PER_PATCH * off_planes, axis=0) - NATS_PER_CONTRADICTION * against
     )
-    with_keypoints: Floats = worth + np.max([_nats_of_keypoints(each.keypoints) for each in seen], axis=0)
+    with_keypoints: Floats = worth + np.max(
+        [_nats_of_keypoints(agreement.keypoints) for agreement in agreements], axis=0
+    )
     return with_keypoints
 
 

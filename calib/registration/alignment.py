@@ -80,9 +80,9 @@ def normal_equations(
 
 def _of_keypoints(moving: Surfaces, place: Pose, still: Surfaces, still_place: Pose, tolerance: float) -> Floats:
     """Normal matrix and gradient (6, 7) of matching keypoints that should coincide, with Tukey's weights."""
-    own, other = match_keypoints(moving.keypoints, still.keypoints)
+    own, matching = match_keypoints(moving.keypoints, still.keypoints)
     points = place @ moving.keypoints.points[own]
-    off = points - still_place @ still.keypoints.points[other]
+    off = points - still_place @ still.keypoints.points[matching]
     depth = moving.keypoints.points[own, 2]
     relative = np.linalg.norm(off, axis=1) / (tolerance * depth)
     near = relative < 1
@@ -100,7 +100,7 @@ def _of_keypoints(moving: Surfaces, place: Pose, still: Surfaces, still_place: P
 def align(
     moving: Surfaces,
     place: Pose,
-    others: Sequence[tuple[Surfaces, Pose]],
+    fixed: Sequence[tuple[Surfaces, Pose]],
     tolerances: Sequence[float],
     patches: int | None = None,
 ) -> Pose:
@@ -108,10 +108,10 @@ def align(
     for tolerance in tolerances:
         for _ in range(_STEPS):
             matrix, gradient = np.zeros((6, 6)), np.zeros(6)
-            for still, still_place in others:
-                each = normal_equations(moving, place, still, still_place, tolerance, patches)
-                matrix += each.matrix
-                gradient += each.gradient
+            for still, still_place in fixed:
+                equations = normal_equations(moving, place, still, still_place, tolerance, patches)
+                matrix += equations.matrix
+                gradient += equations.gradient
             twist = _step(matrix, gradient, place.translation)
             place = Pose.from_vector(twist) @ place
             if np.abs(twist).max() < _CONVERGED * max(1.0, moving.distance):
@@ -125,9 +125,9 @@ def align_jointly(stations: Mapping[int, Surfaces], places: Mapping[int, Pose]) 
     names = list(now)
     pairs = list(combinations(names, 2))
     for _ in range(_STEPS):
-        found = {(a, b): normal_equations(stations[a], now[a], stations[b], now[b], FINE) for a, b in pairs}
-        pairs = [pair for pair in pairs if found[pair].count > 0]
-        between = [(names.index(a), names.index(b), found[a, b].matrix, found[a, b].gradient) for a, b in pairs]
+        equations = {(a, b): normal_equations(stations[a], now[a], stations[b], now[b], FINE) for a, b in pairs}
+        pairs = [pair for pair in pairs if equations[pair].count > 0]
+        between = [(names.index(a), names.index(b), equations[a, b].matrix, equations[a, b].gradient) for a, b in pairs]
         matrix, gradient = couple_poses(between, len(names))
         damping = _DAMPING * np.diag(matrix)[6:] + 1e-12
         twists = -np.linalg.solve(matrix[6:, 6:] + np.diag(damping), gradient[6:]).reshape(-1, 6).astype(np.float64)

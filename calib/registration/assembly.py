@@ -51,14 +51,14 @@ class Assembly:
         """Stations that were cut off."""
         return self.whole.places.keys() - self.places.keys() if self.whole else set()
 
-    def like(self, other: "Assembly", size: float) -> bool:
+    def like(self, assembly: "Assembly", size: float) -> bool:
         """Whether the same stations are at the same places, relative to each other."""
-        if self.places.keys() != other.places.keys():
+        if self.places.keys() != assembly.places.keys():
             return False
         first = min(self.places)
-        here, there = (each.places[first].inverse() for each in (self, other))
+        here, there = (each.places[first].inverse() for each in (self, assembly))
         for k in self.places:
-            off = (here @ self.places[k]).inverse() @ there @ other.places[k]
+            off = (here @ self.places[k]).inverse() @ there @ assembly.places[k]
             if not off.is_near(IDENTITY, _SAME_TURN, size):
                 return False
         return True
@@ -70,14 +70,14 @@ def assemble(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[
 
     So a station stays where it is needed, and separate rooms are recognised. Empty if no two stations belong together.
     """
-    found = _groups(surfaces, edges, stations)
+    groups = _groups(surfaces, edges, stations)
     total: dict[frozenset[int], float] = {}
-    for each in found:
-        names = frozenset(each.places)
+    for group in groups:
+        names = frozenset(group.places)
         if names not in total and len(total) < _COMPARED:
-            others = _groups(surfaces, edges, [k for k in stations if k not in names])
-            total[names] = each.nats + (max(0.0, others[0].nats - DECIDED_NATS) if others else 0.0)
-    return sorted(found, key=lambda each: -total.get(frozenset(each.places), -np.inf))
+            rest = _groups(surfaces, edges, [k for k in stations if k not in names])
+            total[names] = group.nats + (max(0.0, rest[0].nats - DECIDED_NATS) if rest else 0.0)
+    return sorted(groups, key=lambda group: -total.get(frozenset(group.places), -np.inf))
 
 
 def _groups(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[int]) -> list[Assembly]:
@@ -95,14 +95,14 @@ def _groups(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[i
     finished: list[Assembly] = []
     while beam:
         longer: list[Assembly] = []
-        for each in beam:
-            grown = _grown(surfaces, edges, stations, each)
+        for assembly in beam:
+            grown = _grown(surfaces, edges, stations, assembly)
             longer += grown
-            if each.nats > DECIDED_NATS and not grown:
-                finished.append(each)
+            if assembly.nats > DECIDED_NATS and not grown:
+                finished.append(assembly)
         beam = _distinct(longer, size)
-    together = _distinct([_together(surfaces, each) for each in _distinct(finished, size)], size)
-    return sorted((_without_loose(surfaces, each) for each in together), key=lambda each: -each.nats)
+    together = _distinct([_together(surfaces, assembly) for assembly in _distinct(finished, size)], size)
+    return sorted((_without_loose(surfaces, assembly) for assembly in together), key=lambda assembly: -assembly.nats)
 
 
 def _distinct(assemblies: Sequence[Assembly], size: float) -> list[Assembly]:
@@ -123,9 +123,9 @@ def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[in
             continue
         for member, place in group.places.items():
             pair = (min(member, k), max(member, k))
-            for each in edges.get(pair, ()):
-                relative = each.pose if member < k else each.pose.inverse()
-                tried.append((each.nats, k, place @ relative))
+            for edge in edges.get(pair, ()):
+                relative = edge.pose if member < k else edge.pose.inverse()
+                tried.append((edge.nats, k, place @ relative))
     tried.sort(key=lambda each: -each[0])
     worth = [(_coarsely(surfaces, group, k, place), k, place) for _, k, place in tried[:_TRIED]]
     worth.sort(key=lambda each: -each[0])
@@ -138,8 +138,8 @@ def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[in
         ):
             continue
         count[k] = count.get(k, 0) + 1
-        others = [(surfaces[member], at) for member, at in group.places.items()]
-        place = align(surfaces[k], place, others, (COARSE, FINE), _PATCHES)
+        members = [(surfaces[member], at) for member, at in group.places.items()]
+        place = align(surfaces[k], place, members, (COARSE, FINE), _PATCHES)
         more = gain_of(surfaces, group.places, k, place)
         if more > DECIDED_NATS:
             grown.append(Assembly({**group.places, k: place}, group.nats + more))
@@ -149,18 +149,18 @@ def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[in
 def gain_of(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], k: int, place: Pose) -> float:
     """Evidence in nats for a station at a pose relative to others."""
     poses = [at.inverse() @ place for at in places.values()]
-    seen = [compare_one(surfaces[member], surfaces[k], pose) for member, pose in zip(places, poses, strict=True)]
+    agreements = [compare_one(surfaces[member], surfaces[k], pose) for member, pose in zip(places, poses, strict=True)]
     tilt = min(float(nats_of_tilt(pose)) for pose in poses)
-    return float(gain(seen)[0]) - tilt - NATS_OF_POSE
+    return float(gain(agreements)[0]) - tilt - NATS_OF_POSE
 
 
 def _coarsely(surfaces: Mapping[int, Surfaces], group: Assembly, k: int, place: Pose) -> float:
     """Evidence for a station at a pose relative to a group, from some of the patches, before refinement."""
-    seen = []
+    agreements = []
     for member, at in group.places.items():
         pose = at.inverse() @ place
-        seen.append(compare(surfaces[member], surfaces[k], pose[None], COARSE, _PATCHES))
-    return float(gain(seen, len(surfaces[k].patches) / _PATCHES)[0])
+        agreements.append(compare(surfaces[member], surfaces[k], pose[None], COARSE, _PATCHES))
+    return float(gain(agreements, len(surfaces[k].patches) / _PATCHES)[0])
 
 
 def _together(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:

@@ -46,8 +46,8 @@ class Hypothesis:
 def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
     """Relative poses of two stations that are worth following up, best first.
 
-    Keypoints of the pictures suggest some. Descriptors of the surfaces are asked where planes are too few to fix a pose; and
-    the rig may hardly have been moved at all.
+    Keypoints of the pictures suggest some. Shape descriptors are asked where planes are too few to fix a pose; and the
+    rig may hardly have been moved at all.
     """
     by_planes, further = _suggested(first, second), [IDENTITY, *keypoint_poses(first, second)]
     if min(_fixed_directions(first), _fixed_directions(second)) < 3:
@@ -95,9 +95,9 @@ def _slid(first: Surfaces, second: Surfaces, pose: Pose) -> Pose:
 
 def judged(first: Surfaces, second: Surfaces, pose: Pose) -> Hypothesis:
     """What is to be thought of a pose."""
-    seen = compare_one(first, second, pose)
-    nats = float(gain([seen])[0] - nats_of_tilt(pose))
-    return Hypothesis(pose, nats, float(seen.contradiction[0]))
+    agreement = compare_one(first, second, pose)
+    nats = float(gain([agreement])[0] - nats_of_tilt(pose))
+    return Hypothesis(pose, nats, float(agreement.contradiction[0]))
 
 
 def _distinct(poses: Pose, worth: Floats, size: float, most: int) -> list[int]:
@@ -110,7 +110,7 @@ def _distinct(poses: Pose, worth: Floats, size: float, most: int) -> list[int]:
 
 def _suggested(first: Surfaces, second: Surfaces) -> Pose:
     """Poses (K,) from planes."""
-    largest = [np.argsort(-each.plane_area, kind="stable")[:_MOST_PLANES] for each in (first, second)]
+    largest = [np.argsort(-surfaces.plane_area, kind="stable")[:_MOST_PLANES] for surfaces in (first, second)]
     a, b = (each.planes[order] for each, order in zip((first, second), largest, strict=True))
     area = np.minimum(first.plane_area[largest[0]][:, None], second.plane_area[largest[1]][None])
     poses = [Pose.stack([])]
@@ -167,8 +167,8 @@ def _translations(a: Floats, b: Floats, alike: Bools, area: Ints, reach: float) 
     order = np.argsort(-area[p, q], kind="stable")[:_MOST_PAIRS_OF_PLANES]
     p, q = p[order], q[order]
     normal, shift, weight = a[p, :3], a[p, 3] - b[q, 3], np.sqrt(area[p, q].astype(np.float64))
-    found = [_meeting(normal, shift, weight, reach), _along_lines(normal, shift, weight, reach)]
-    return np.concatenate(found)
+    translations = [_meeting(normal, shift, weight, reach), _along_lines(normal, shift, weight, reach)]
+    return np.concatenate(translations)
 
 
 def _meeting(normal: Floats, shift: Floats, weight: Floats, reach: float) -> Floats:
@@ -193,8 +193,8 @@ def _along_lines(normal: Floats, shift: Floats, weight: Floats, reach: float) ->
     pairs, along = pairs[good], along[good] / length[good, None]
     chosen = np.argsort(-np.prod(weight[pairs], axis=1), kind="stable")[:_MOST_LINES]
     steps = np.linspace(-reach, reach, _LINE_STEPS)
-    found = [np.zeros((0, 3))]
+    translations = [np.zeros((0, 3))]
     for k in chosen:
         foot = np.linalg.lstsq(normal[pairs[k]], shift[pairs[k]], rcond=None)[0]
-        found.append(foot + steps[:, None] * along[k])
-    return np.concatenate(found)
+        translations.append(foot + steps[:, None] * along[k])
+    return np.concatenate(translations)

@@ -20,25 +20,25 @@ _MOST = 3
 
 def keypoint_poses(first: Surfaces, second: Surfaces) -> list[Pose]:
     """Poses X_first = R X_second + t with the most coinciding keypoints; none with fewer than five."""
-    own, other = match_keypoints(first.keypoints, second.keypoints)
-    here, there = first.keypoints.points[own], second.keypoints.points[other]
-    found: list[Pose] = []
-    left = np.ones(len(own), np.bool_)
+    own, matching = match_keypoints(first.keypoints, second.keypoints)
+    here, there = first.keypoints.points[own], second.keypoints.points[matching]
+    poses: list[Pose] = []
+    unused = np.ones(len(own), np.bool_)
     rng = np.random.default_rng(0)
-    while len(found) < _MOST and np.count_nonzero(left) >= _FEWEST:
-        pose, near = _likeliest(here[left], there[left], rng)
+    while len(poses) < _MOST and np.count_nonzero(unused) >= _FEWEST:
+        pose, near = _likeliest(here[unused], there[unused], rng)
         if pose is None or np.count_nonzero(near) < _FEWEST:
             break
-        found.append(pose)
-        left[np.flatnonzero(left)[near]] = False
-    return found
+        poses.append(pose)
+        unused[np.flatnonzero(unused)[near]] = False
+    return poses
 
 
 def _likeliest(here: Floats, there: Floats, rng: np.random.Generator) -> tuple[Pose | None, Bools]:
     """The pose that brings most points `there` (M, 3) to those `here`, and which of them (M,)."""
     within = COARSE * here[:, 2]
     three = rng.integers(0, len(here), (_DRAWN, 3))
-    sides = [np.linalg.norm(each[three] - each[np.roll(three, 1, axis=1)], axis=2) for each in (here, there)]
+    sides = [np.linalg.norm(points[three] - points[np.roll(three, 1, axis=1)], axis=2) for points in (here, there)]
     wide = sides[0].min(axis=1) > _WIDEST * float(np.median(here[:, 2]))
     three = three[wide & (np.abs(sides[0] - sides[1]).max(axis=1) < 2 * within[three].min(axis=1))]
     if len(three) == 0:

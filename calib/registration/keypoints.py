@@ -88,17 +88,17 @@ def find_keypoints(
     if picture.shape[:2] != labels.shape:
         raise ValueError(f"the picture must have the shape {labels.shape}, found {picture.shape[:2]}")
     light = log_brightness(picture)
-    found = [no_keypoints()]
+    parts = [no_keypoints()]
     for label, plane in enumerate(planes):
         on_plane = labels == label
         own = points[on_plane]
         if len(own) >= _LEAST_PIXELS:
-            found.append(_on_plane(light, on_plane, own.astype(np.float64), label, plane, camera))
+            parts.append(_on_plane(light, on_plane, own.astype(np.float64), label, plane, camera))
     return Keypoints(
-        np.concatenate([each.pixels for each in found]),
-        np.concatenate([each.points for each in found]),
-        np.concatenate([each.labels for each in found]),
-        np.concatenate([each.descriptors for each in found]),
+        np.concatenate([part.pixels for part in parts]),
+        np.concatenate([part.points for part in parts]),
+        np.concatenate([part.labels for part in parts]),
+        np.concatenate([part.descriptors for part in parts]),
     )
 
 

@@ -78,17 +78,17 @@ def worst_misfit(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -
     """The station of a group that fits the others worst; None where only two overlap, for none is then to blame."""
     sums: dict[tuple[int, int], Floats] = {}
     for i, j in combinations(places, 2):
-        seen = compare_one(surfaces[i], surfaces[j], places[i].inverse() @ places[j])
-        if seen.agreeing[0] + seen.contradicting[0] < _LEAST_PATCHES:
+        agreement = compare_one(surfaces[i], surfaces[j], places[i].inverse() @ places[j])
+        if agreement.agreeing[0] + agreement.contradicting[0] < _LEAST_PATCHES:
             continue
         fit = normal_equations(surfaces[i], places[i], surfaces[j], places[j], COARSE)
-        sums[i, j] = np.array([fit.square, fit.weight, seen.contradicting[0], seen.agreeing[0]], np.float64)
-    found = []
+        sums[i, j] = np.array([fit.square, fit.weight, agreement.contradicting[0], agreement.agreeing[0]], np.float64)
+    misfits = []
     for k in places:
         own = sum((each for pair, each in sums.items() if k in pair), np.zeros(4))
         rest = sum((each for pair, each in sums.items() if k not in pair), np.zeros(4))
         if own[1] > 0 and rest[1] > 0:
             usual = (rest[0] + _SUPPOSED_PATCHES * _OFF**2) / (rest[1] + _SUPPOSED_PATCHES)
             worse = float(np.sqrt(own[0] / own[1] / usual))
-            found.append(Misfit(k, float(own[2] / (own[2] + own[3])), worse))
-    return max(found, key=lambda each: (each.finding is not None, each.times_worse), default=None)
+            misfits.append(Misfit(k, float(own[2] / (own[2] + own[3])), worse))
+    return max(misfits, key=lambda misfit: (misfit.finding is not None, misfit.times_worse), default=None)

@@ -110,31 +110,31 @@ def register(stations: Sequence[StationView], of_another_rig: Mapping[int, Findi
     and would draw it away from the others.
     """
     reasons = {k: UnregisteredStation(k, finding) for k, finding in (of_another_rig or {}).items()}
-    seen = {k: view for k, view in enumerate(stations) if k not in reasons}
-    surfaces = {k: surfaces_of(view) for k, view in seen.items() if np.isfinite(view.points[..., 2]).any()}
+    views = {k: view for k, view in enumerate(stations) if k not in reasons}
+    surfaces = {k: surfaces_of(view) for k, view in views.items() if np.isfinite(view.points[..., 2]).any()}
     edges = {(i, j): hypotheses(surfaces[i], surfaces[j]) for i, j in combinations(surfaces, 2)}
     groups: list[Group] = []
-    left, aside = list(surfaces), list[int]()
-    while len(left) > 1:
-        assemblies = assemble(surfaces, edges, left)
+    remaining, aside = list(surfaces), list[int]()
+    while len(remaining) > 1:
+        assemblies = assemble(surfaces, edges, remaining)
         if not assemblies:
             break
         best = assemblies[0]
         if best.loose:
             reasons.update({k: UnregisteredStation(k, _outlier(NO_OVERLAP, _TOO_LITTLE)) for k in best.loose})
-            left = [k for k in left if k not in best.loose]
+            remaining = [k for k in remaining if k not in best.loose]
             aside += sorted(best.loose)
             continue
         worst = worst_misfit(surfaces, best.places)
         if worst is not None and worst.finding is not None:
             reasons[worst.station] = UnregisteredStation(worst.station, worst.finding)
-            left.remove(worst.station)
+            remaining.remove(worst.station)
             aside += [] if worst.of_another_shape else [worst.station]
             continue
-        others = (each.whole or each for each in assemblies[1:])
-        rivals = [each for each in others if each.places.keys() == best.places.keys()]
+        others = (assembly.whole or assembly for assembly in assemblies[1:])
+        rivals = [rival for rival in others if rival.places.keys() == best.places.keys()]
         groups.append(_group(surfaces, best, rivals))
-        left = [k for k in left + aside if k not in best.places]
+        remaining = [k for k in remaining + aside if k not in best.places]
         aside = []
     groups.sort(key=lambda group: -len(group.stations))
     pairs = [pair for group in groups for pair in _pairs(surfaces, group)]
@@ -145,7 +145,7 @@ def register(stations: Sequence[StationView], of_another_rig: Mapping[int, Findi
 
 def _group(surfaces: Mapping[int, Surfaces], best: Assembly, rivals: Sequence[Assembly]) -> Group:
     names = tuple(sorted(best.places))
-    behind = [best.nats - each.nats for each in rivals]
+    behind = [best.nats - rival.nats for rival in rivals]
     alternatives = [
         AlternativePlaces(tuple(each.places[k] for k in names), nats)
         for each, nats in zip(rivals, behind, strict=True)
@@ -163,28 +163,28 @@ def _group(surfaces: Mapping[int, Surfaces], best: Assembly, rivals: Sequence[As
 
 
 def _pairs(surfaces: Mapping[int, Surfaces], group: Group) -> list[Pair]:
-    found = []
+    pairs = []
     for (i, at), (j, there) in combinations(zip(group.stations, group.places, strict=True), 2):
         pose = at.inverse() @ there
-        seen = compare_one(surfaces[i], surfaces[j], pose)
-        overlap = float(seen.agreeing[0]) / (len(surfaces[i].patches) + len(surfaces[j].patches))
+        agreement = compare_one(surfaces[i], surfaces[j], pose)
+        overlap = float(agreement.agreeing[0]) / (len(surfaces[i].patches) + len(surfaces[j].patches))
         if overlap < _LEAST_OVERLAP:
             continue
         fit = normal_equations(surfaces[j], pose, surfaces[i], IDENTITY, 0.01)
         alone = refined(surfaces[i], surfaces[j], pose)
-        found.append(
+        pairs.append(
             Pair(
                 i,
                 j,
                 overlap,
                 pose,
                 judged(surfaces[i], surfaces[j], pose).nats,
-                float(seen.contradiction[0]),
+                float(agreement.contradiction[0]),
                 float(np.sqrt(fit.square / max(fit.weight, 1e-9))),
                 float(np.linalg.norm(alone.translation - pose.translation)),
             )
         )
-    return found
+    return pairs
 
 
 def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> UnregisteredStation:

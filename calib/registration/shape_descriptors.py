@@ -43,7 +43,7 @@ def _ransac(clouds: list[Any], features: list[Any], voxel: float, seed: int) -> 
     o3d = open3d()
     registration = o3d.pipelines.registration
     o3d.utility.random.seed(seed)
-    found = registration.registration_ransac_based_on_feature_matching(
+    ransac = registration.registration_ransac_based_on_feature_matching(
         clouds[1],
         clouds[0],
         features[1],
@@ -58,7 +58,7 @@ def _ransac(clouds: list[Any], features: list[Any], voxel: float, seed: int) -> 
         ],
         registration.RANSACConvergenceCriteria(_ITERATIONS, _CONFIDENCE),
     )
-    pose: Floats = np.asarray(found.transformation, np.float64)
+    pose: Floats = np.asarray(ransac.transformation, np.float64)
     return Pose(pose[:3, :3].copy(), pose[:3, 3].copy())
 
 

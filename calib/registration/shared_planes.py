@@ -69,7 +69,7 @@ def _classes(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> li
 
 def _links(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> list[tuple[int, Segment, Segment]]:
     """Pairs of coinciding segments, and the number of patches as evidence."""
-    found = []
+    planes = []
     names = sorted(places)
     for n, i in enumerate(names):
         for j in names[n + 1 :]:
@@ -77,8 +77,8 @@ def _links(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> list
             matched = compare_one(surfaces[i], surfaces[j], pose).matched[0, :-1, :-1]
             for a, b in np.argwhere(matched >= _FEWEST):
                 if _one_plane(surfaces[i], int(a), surfaces[j], int(b), pose):
-                    found.append((int(matched[a, b]), (i, int(a)), (j, int(b))))
-    return found
+                    planes.append((int(matched[a, b]), (i, int(a)), (j, int(b))))
+    return planes
 
 
 def _one_plane(first: Surfaces, a: int, second: Surfaces, b: int, pose: Pose) -> bool:
@@ -87,7 +87,7 @@ def _one_plane(first: Surfaces, a: int, second: Surfaces, b: int, pose: Pose) ->
     own = patches_on(first, a)
     off = moved @ first.planes[a, :3] - first.planes[a, 3]
     back = pose.undo(own) @ second.planes[b, :3] - second.planes[b, 3]
-    apart = min(abs(float(np.median(each))) for each in (off, back))
+    apart = min(abs(float(np.median(heights))) for heights in (off, back))
     return apart < _APART * (first.distance + second.distance) / 2
 
 

@@ -29,19 +29,19 @@ class Cut:
 
 def firmly_connected(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> dict[int, Pose]:
     """What is left of a group, at `places` in the room, when all parts that little holds are cut off."""
-    left = dict(places)
-    while len(left) > 1:
-        weakest = weakest_cut(surfaces, left)
+    remaining = dict(places)
+    while len(remaining) > 1:
+        weakest = weakest_cut(surfaces, remaining)
         if weakest.nats >= DECIDED_NATS:
             break
-        left = {k: place for k, place in left.items() if k not in weakest.part}
-    return left
+        remaining = {k: place for k, place in remaining.items() if k not in weakest.part}
+    return remaining
 
 
 def weakest_cut(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> Cut:
     """Of a group of two stations or more, at `places` in the room."""
-    found = [Cut(part, _nats(surfaces, places, part)) for part in _parts(surfaces, places)]
-    return min(found, key=lambda cut: cut.nats)
+    cuts = [Cut(part, _nats(surfaces, places, part)) for part in _parts(surfaces, places)]
+    return min(cuts, key=lambda cut: cut.nats)
 
 
 def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], part: Collection[int]) -> float:
@@ -58,11 +58,11 @@ def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], part: Co
     return float(gain(seen)[0]) - min(tilts) - NATS_OF_POSE
 
 
-def _of_planes(seen: Agreement, plane_of: Sequence[int], planes: int) -> Agreement:
+def _of_planes(agreement: Agreement, plane_of: Sequence[int], planes: int) -> Agreement:
     """The view with the second station's labels replaced by their planes, of which there are this many."""
     is_on: Ints = np.eye(planes + 1, dtype=np.int64)[[*plane_of, -1]]
-    matched: Ints = seen.matched @ is_on
-    return replace(seen, matched=matched)
+    matched: Ints = agreement.matched @ is_on
+    return replace(agreement, matched=matched)
 
 
 def _parts(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> Iterator[tuple[int, ...]]:
