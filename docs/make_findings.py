@@ -39,6 +39,8 @@ _WITH = {
     "calib/refinement": "calib/diagnostics",
     "calib/self_calibration": "calib/diagnostics",
     "calib/objects": "calib/rooms",
+    "calib/registration": "calib/rooms",
+    "calib/estimation": "calib/rooms",
     "scanner/boards": "calib/boards",
     "scanner/rooms": "calib/rooms",
     "scanner/objects": "calib/rooms",

@@ -11,7 +11,6 @@ ALLOWED = {
     ("benchmarks/cramer_rao.py", "calib.boards.likelihood"): "the bound is that of the model's own likelihood",
     ("benchmarks/cramer_rao.py", "calib.boards.parameters"): "the bound is that of the model's own parameters",
     ("benchmarks/cramer_rao.py", "calib.networks.prior"): "the bound is that of the model's own prior",
-    ("benchmarks/cramer_rao.py", "calib.estimation.likelihood"): "the bound is that of the model's own likelihood",
     (
         "tests/calib/numerics/test_jit.py",
         "calib.objects.pose_search",
