@@ -188,10 +188,14 @@ def _of_wide_stripes(levels: Floats32, ends: Floats32, by_axis: list[list[int]])
     """Yield pairs of single pixels: the brightest and the darkest of an axis's fine bits, and white and black (2, P).
 
     Other surfaces send as much light to both, half of what they send to white, so that these are at medium levels.
+    Pixels whose bits are not all at one of the two are left out: their stripes are blurred rather than wide.
     """
     pairs = np.array([ends, *([levels[frames].max(axis=0), levels[frames].min(axis=0)] for frames in by_axis)])
     swings = pairs[:, 0] - pairs[:, 1]
-    wide = np.flatnonzero(np.all(swings[1:] > HALF * swings[0], axis=0) & (swings[0] > 0))
+    is_wide = np.all(swings[1:] > HALF * swings[0], axis=0) & (swings[0] > 0)
+    for frames, pair, swing in zip(by_axis, pairs[1:], swings[1:], strict=True):
+        is_wide &= np.abs(levels[frames] - pair.mean(axis=0)).min(axis=0) > HALF * swing / 2
+    wide = np.flatnonzero(is_wide)
     if len(wide) >= FEWEST_PIXELS:
         some: Floats32 = evenly_spread(pairs[..., wide], TRIAL_PIXELS, axis=-1)
         yield _sums_of(some), _interpolation(some[0, 0]) - _interpolation(some[0, 1]), _STIFF, _NOTABLE

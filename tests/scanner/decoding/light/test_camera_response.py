@@ -102,6 +102,14 @@ def test_a_linear_camera_has_no_curve(patterns: Sequence[Pattern]) -> None:
     assert response_of(patterns, photographs(patterns, linear)) is None
 
 
+@pytest.mark.parametrize("blur_px", [2.0, 2.4])
+def test_stripes_that_a_linear_camera_blurs_show_no_curve(blur_px: float) -> None:
+    """Of a pixel's four finest bits one is seen and three are half-way, so that brightest and darkest do not add up."""
+    scene = Scene(projector=(600, 400), camera_blur_px=blur_px, projector_blur_px=0.0, indirect=0.05)
+    patterns = sequence_for(scene.projector, cell=1, inverses=False, shifts=0)
+    assert corrections_to(patterns, scene.frames(patterns), scene.projector).response is None
+
+
 def test_other_causes_of_unequal_sums_give_no_curve() -> None:
     frames = photographs(GRAY, linear)
     lamp = [np.minimum(frame + (0.2 * frames[0] if k > 11 else 0), 255) for k, frame in enumerate(frames)]
