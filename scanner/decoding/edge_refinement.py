@@ -122,7 +122,7 @@ def _lines(image: np.ndarray, turned: bool) -> np.ndarray:
     return image.swapaxes(-2, -1) if turned else image
 
 
-def _apart(value: Floats32, cell: int) -> float:
+def _apart(value: Floats32, cell: float) -> float:
     """Return how far a cell's centre may be from the values (H, W) around it, in projector pixels;
     negative: not used.
     """

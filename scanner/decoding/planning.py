@@ -18,7 +18,7 @@ from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor
 _DISTINCT_CYCLES = 0.05
 
 # Bits, cell and offset of a Gray code; and its frames by (inverted, bit).
-_Numbering = tuple[int, int, int]
+_Numbering = tuple[int, float, float]
 _Shown = dict[bool, dict[int, int]]
 
 
@@ -82,7 +82,7 @@ def _code(axis: Axis, length: int, numbering: _Numbering, frames_of: _Shown) -> 
     return GrayCode(axis, *numbering, frames_of[False], frames_of[True], constant)
 
 
-def constant_bits(axis: Axis, length: int, key: tuple[int, int, int], bits_shown: set[int]) -> int:
+def constant_bits(axis: Axis, length: int, key: tuple[int, float, float], bits_shown: set[int]) -> int:
     """Return the value of the bits that were not shown; `key`: a code's bits, cell and offset.
 
     Raises InputError if such a bit is not constant along the axis, or the code does not fit it.
@@ -92,7 +92,7 @@ def constant_bits(axis: Axis, length: int, key: tuple[int, int, int], bits_shown
         raise InputError(f"a Gray code of {bits} bits along {axis}; at most {most} are read")
     if not all(0 <= bit < bits for bit in bits_shown):
         raise InputError(f"bits of a Gray code along {axis} must be 0 … {bits - 1}, found {sorted(bits_shown)}")
-    n = (np.arange(length) + offset) // cell
+    n = np.floor((np.arange(length) + offset) / cell).astype(np.int64)
     if n[0] < 0 or n[-1] >= 1 << bits:
         raise InputError(
             f"the Gray code along {axis} (cell {cell}, offset {offset}) counts from {n[0]} to {n[-1]} on {length} px; "

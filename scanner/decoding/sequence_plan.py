@@ -27,9 +27,9 @@ class GrayCode:
     """Along which."""
     bits: int
     """Their number."""
-    cell: int
+    cell: float
     """Length of a cell in projector pixels."""
-    offset: int
+    offset: float
     """Projector pixels from the beginning of the code to pixel 0."""
     normal: Mapping[int, int]
     """Index of the frame that shows a bit, by bit."""
@@ -55,7 +55,7 @@ class GrayCode:
         bits = self.bits - count
         normal, inverse = ({b: f for b, f in frames.items() if b < bits} for frames in (self.normal, self.inverse))
         constant = self.constant >> count
-        return replace(self, bits=bits, cell=self.cell << count, normal=normal, inverse=inverse, constant=constant)
+        return replace(self, bits=bits, cell=self.cell * 2**count, normal=normal, inverse=inverse, constant=constant)
 
     @property
     def pairs(self) -> dict[int, tuple[int, int]]:

@@ -102,8 +102,8 @@ def _exposures(patterns: Sequence[Pattern]) -> int:
 def _decodable(axis: Axis, length: int, once: Sequence[Pattern], wanted: Sequence[Pattern]) -> dict[Pattern, Pattern]:
     """Return the patterns along an axis that can be decoded, and what each is decoded as."""
     decoded_as: dict[Pattern, Pattern] = {}
-    codes: dict[tuple[int, int, int], list[Gray]] = defaultdict(list)
-    relative: dict[tuple[int, int, int, int], list[Xor]] = defaultdict(list)
+    codes: dict[tuple[int, float, float], list[Gray]] = defaultdict(list)
+    relative: dict[tuple[int, float, float, int], list[Xor]] = defaultdict(list)
     for pattern in once:
         if isinstance(pattern, Gray) and pattern.axis == axis:
             codes[pattern.bits, pattern.cell, pattern.offset].append(pattern)
@@ -111,7 +111,7 @@ def _decodable(axis: Axis, length: int, once: Sequence[Pattern], wanted: Sequenc
             relative[pattern.bits, pattern.cell, pattern.offset, pattern.base].append(pattern)
     for (bits, cell, offset), patterns in codes.items():
         for lost in range(bits):
-            code = bits - lost, cell << lost, offset
+            code = bits - lost, cell * 2**lost, offset
             kept = [pattern for pattern in patterns if pattern.bit < code[0]]
             if kept and _complete(axis, length, code, {pattern.bit for pattern in kept}):
                 decoded_as |= {pattern: replace(pattern, bits=code[0], cell=code[1]) for pattern in kept}
@@ -126,7 +126,7 @@ def _decodable(axis: Axis, length: int, once: Sequence[Pattern], wanted: Sequenc
     return decoded_as | {pattern: pattern for pattern in _whole_fringes(axis, once, wanted)}
 
 
-def _complete(axis: Axis, length: int, code: tuple[int, int, int], bits: set[int]) -> bool:
+def _complete(axis: Axis, length: int, code: tuple[int, float, float], bits: set[int]) -> bool:
     try:
         constant_bits(axis, length, code, bits)
     except InputError:

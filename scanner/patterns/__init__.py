@@ -12,6 +12,7 @@ from scanner.patterns.pattern import (
     PresetName,
     White,
     Xor,
+    count_bits,
     draw,
     gray_sequence,
     phase_sequence,

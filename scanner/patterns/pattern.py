@@ -17,6 +17,7 @@ from calib.numerics import Floats
 
 Axis = Literal["x", "y"]
 Code = Literal["gray", "xor", "both"]
+_ROUNDING = 1e-9  # of lengths in cells that are no whole pixels
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class Gray:
     axis: Axis
     bit: int
     bits: int
-    cell: int = 1
-    offset: int = 0
+    cell: float = 1
+    offset: float = 0
     inverted: bool = False
 
     def brightness(self, x: Floats, y: Floats) -> Floats:
@@ -68,8 +69,8 @@ class Xor:
     bit: int
     bits: int
     base: int
-    cell: int = 1
-    offset: int = 0
+    cell: float = 1
+    offset: float = 0
     inverted: bool = False
 
     def brightness(self, x: Floats, y: Floats) -> Floats:
@@ -107,9 +108,14 @@ def draw(pattern: Pattern, size: tuple[int, int]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(np.broadcast_to(levels, (height, width)))
 
 
+def count_bits(length: float, cell: float) -> int:
+    """The number of bits that distinguish all cells along an axis of `length` pixels."""
+    return max(1, ceil(log2(ceil(length / cell - _ROUNDING))))
+
+
 def gray_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) -> Iterator[Gray]:
     """The bits that distinguish all cells along an axis of `length` pixels, each followed by its inverse."""
-    bits = max(1, ceil(log2(ceil(length / cell))))
+    bits = count_bits(length, cell)
     for bit in range(bits):
         for inverted in (False, True) if inverses else (False,):
             yield Gray(axis, bit, bits, cell, inverted=inverted)

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from scanner.io import Entry, Flag, Number, Whole, flow_yaml, write_png
 from scanner.patterns.pattern import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
@@ -39,9 +39,14 @@ class _BitEntry(_Shown):
     axis: Axis
     bit: Whole = Field(ge=0)
     bits: Whole = Field(ge=1, le=32)
-    cell: Whole = Field(ge=1, le=65536)
-    offset: Whole = Field(ge=0, le=2**32)
+    cell: Number = Field(ge=1, le=65536)
+    offset: Number = Field(ge=0, le=2**32)
     inverted: Flag
+
+    @field_validator("cell", "offset")
+    @classmethod
+    def _whole(cls, length: float) -> float:
+        return int(length) if length.is_integer() else length
 
     @model_validator(mode="after")
     def _bit_exists(self) -> "_BitEntry":

@@ -53,7 +53,7 @@ def photographer(camera: tuple[int, int], projector: tuple[int, int]) -> Photogr
 ENDS: list[Pattern] = [White(), Black()]
 
 
-def bits(axis: Axis, number: int, cell: int = 1, offset: int = 0, *, inverses: bool = True) -> list[Pattern]:
+def bits(axis: Axis, number: int, cell: float = 1, offset: int = 0, *, inverses: bool = True) -> list[Pattern]:
     """The bits of a Gray code, most significant first, each followed by its inverse, as in all the sources."""
     signs = (False, True) if inverses else (False,)
     return [Gray(axis, bit, number, cell, offset, inverted) for bit in range(number) for inverted in signs]

@@ -39,7 +39,8 @@ def average_cells(
 ) -> CellMatches:
     """Average the `kept` pixels (H, W) whose cells have the same centre `cell_px` (H, W, 2), weighted by `brightness`.
 
-    `projector_px` (H, W, 2): their coordinates, which differ from the centre by a motion that was taken back.
+    `projector_px` (H, W, 2): their coordinates, which differ from the centre by a motion that was taken back. Cells are
+    told apart by half a pixel.
     """
     rejected = np.zeros(kept.shape, np.bool_)
     if not kept.any():
@@ -57,7 +58,7 @@ def average_cells(
 
     weight, of_variance, square = np.zeros((3, len(cells)))
     camera_px, shift_px, middle_px = np.zeros((3, len(cells), 2))
-    of_pixels = pixels, group, brightness.astype(np.float32), variance, cell_px, projector_px
+    of_pixels = pixels, group, brightness.astype(np.float32), variance, half_px, projector_px
     _add_up(*of_pixels, weight, camera_px, shift_px, middle_px, square, of_variance)
     camera_px /= weight[:, None]
     shift_px /= weight[:, None]
@@ -100,7 +101,7 @@ def _add_up(
     group: Ints,
     brightness: Floats32,
     variance: Floats32,
-    cell_px: Floats32,
+    half_px: Ints,
     projector_px: Floats32,
     weight: Floats,
     camera_px: Floats,
@@ -117,7 +118,7 @@ def _add_up(
         camera_px[into, 0] += by * column
         camera_px[into, 1] += by * row
         for axis in range(2):
-            shift_px[into, axis] += by * (projector_px[row, column, axis] - cell_px[row, column, axis])
+            shift_px[into, axis] += by * (projector_px[row, column, axis] - (half_px[n, axis] - 1) / 2)
         middle_px[into, 0] += column
         middle_px[into, 1] += row
         square[into] += column * column + row * row
