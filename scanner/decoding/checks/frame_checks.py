@@ -25,9 +25,9 @@ from scanner.decoding.checks.frame_consistency import (
     suspected,
     total_inconsistency,
 )
-from scanner.decoding.light import NoiseModel
+from scanner.decoding.light import LIT, NoiseModel
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, HALF, NEARLY_ALL, OUTLYING_SIGMAS
+from scanner.decoding.significance import AS_GOOD, BRIGHTEST, FEWEST_PIXELS, HALF, NEARLY_ALL, OUTLYING_SIGMAS
 from scanner.errors import FramesError, InputError
 
 # Least swing of a lit pixel over all frames: in standard deviations of a difference of two, of which a hundred frames
@@ -167,8 +167,10 @@ def _find_swap(plan: SequencePlan, sample: LitSample, equalised: LitSample, anom
     Exchanging them back must reduce the contradictions in proportion to their difference. They are not named if
     equalised brightness explains as much, or if another exchange of one of them does nearly as well.
     """
+    # Beside the picture frames differ by their exposures alone, which any dark frame in the place of black explains.
+    lit = sample.swing >= LIT * np.quantile(sample.swing, BRIGHTEST)
     levels, swing, of_equalised = (
-        evenly_spread(n, TRIAL_PIXELS, -1) for n in (sample.levels, sample.swing, equalised.levels)
+        evenly_spread(n[..., lit], TRIAL_PIXELS, -1) for n in (sample.levels, sample.swing, equalised.levels)
     )
     suspects = sorted(suspected(anomalies))
     before = total_inconsistency(plan, levels, swing)
