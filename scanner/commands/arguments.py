@@ -416,10 +416,12 @@ def of_import_(parser: ArgumentParser) -> None:
     )
     add_text(parser, "--from", "FORMAT", "program that took the frames (default: all)")
     add_text(parser, "--projector", "WxH", "the projector's size, as in 1024x768")
-    add_text(parser, "--cell", "PX", "projector pixels in a cell of the Gray code (default: 1)")
+    add_text(parser, "--cell", "PX", "projector pixels in a cell of the Gray code (default: what fits of 1, 2 and 4)")
     what = "numbers of fringe periods across the picture, in the order of the frames, as in 59,64,70"
     add_text(parser, "--periods", "N,…", what)
     add_text(parser, "--order", "N", "number in the list, if several orders fit")
+    what = "mirror the frames back, left to right (x) or top to bottom (y), if the camera or its driver mirrors them"
+    parser.add_argument("--flip", choices=("x", "y"), help=what)
     add_text(parser, "--frames", "GLOB", "take only files that match a pattern, as in 'cam1_*.png'")
     parser.add_argument("--sequence", type=Path, metavar="FILE", help="for a recording: the sequence.yaml of its video")
     add_out(parser, default="only report what is recognised", metavar="CAPTURE")

@@ -2,6 +2,7 @@
 
 import re
 from argparse import Namespace
+from collections import defaultdict
 from collections.abc import Sequence
 from functools import cache
 
@@ -17,6 +18,7 @@ from scanner.importing import (
     FrameLayout,
     Given,
     LevelSamples,
+    OrderStage,
     Recognised,
     Rejected,
     describe_order,
@@ -39,10 +41,11 @@ def run(args: Namespace) -> None:
     if args.sequence is not None or args.folder.is_file():
         import_recording.run(args)
         return
-    every = (*LAYOUTS, *fringe_layouts(_periods(args.periods)))
+    cell = _number(args.cell, "--cell", "a number of pixels", _MOST_CELL_PX)
+    given = Given(_size(args.projector), cell, periods=_periods(args.periods))
+    every = (*LAYOUTS, *fringe_layouts(given.periods))
     name = getattr(args, "from")  # a word of Python's
     layouts = every if name is None else (_named(every, name),)
-    given = Given(_size(args.projector), _number(args.cell, "--cell", "a number of pixels", _MOST_CELL_PX))
     terminal = Terminal(quiet=args.quiet)
     output = OutputFolder(args.out) if args.out else None
     files = find_frames(args.folder, args.frames)
@@ -50,12 +53,13 @@ def run(args: Namespace) -> None:
     @cache
     def look() -> LevelSamples:
         with terminal.step("Looking at the frames"):
-            return take_samples([*files.numbered, *(path for path in (files.white, files.black) if path)])
+            return take_samples([*files.numbered, *(path for path in (files.white, files.black) if path)], args.flip)
 
-    found, rejected = recognise(files, layouts, given, look, terminal)
-    chosen = _only_one(files, found, rejected, _number(args.order, "--order", "a number of the list", _MOST_ORDERS))
+    recognised, rejected = recognise(files, layouts, given, look, terminal, args.flip)
+    order = _number(args.order, "--order", "a number of the list", _MOST_ORDERS)
+    chosen = _only_one(files, recognised, rejected, order)
     if name is None:
-        terminal.show(_table(every, chosen, found, rejected))
+        terminal.show(_table(every, chosen, recognised, rejected))
     unused = [*files.left_out, *(path for path in files.numbered if path not in chosen.files)]
     left_out = f"; left out: {', '.join(path.name for path in unused)}" if unused else ""
     terminal.show(f"{files}: {chosen.layout.title}, {_shown(chosen.projector_size)} ({chosen.how}){left_out}")
@@ -63,7 +67,7 @@ def run(args: Namespace) -> None:
         terminal.show("→ The same command with --out CAPTURE makes a capture of them.")
         return
     with output:
-        write_capture(output.folder, chosen, look().camera_size)
+        write_capture(output.folder, chosen, look().camera_size, args.flip)
     terminal.show(
         f"{len(chosen.files)} frames and capture.yaml are in {args.out}", f"→ scan replay {args.out} reconstructs it."
     )
@@ -77,32 +81,39 @@ def _named(every: Sequence[FrameLayout], name: str) -> FrameLayout:
 
 
 def _only_one(
-    files: FrameFiles, found: Sequence[Recognised], rejected: Sequence[Rejected], order: int | None
+    files: FrameFiles, recognised: Sequence[Recognised], rejected: Sequence[Rejected], order: int | None
 ) -> Recognised:
     """What fits, or of several orders the one of a number; layouts that mean the same are one.
 
     Raises InputError if none fits, or several that differ, or not as many.
     """
-    if not found:
-        explained = (
-            [each for each in rejected if each.certain] or [each for each in rejected if each.lacking] or rejected
-        )
-        reasons = "".join(f"\n  {each.layout.name}: {each.why}" for each in explained)
-        raise InputError(f"{files.folder}: {files}; they fit no known order of frames:{reasons}")
-    likely = [each for each in found if each.likely == max(other.likely for other in found)]
-    differ = [*{(each.patterns, each.projector_size): each for each in likely[::-1]}.values()][::-1]
+    if not recognised:
+        raise InputError(f"{files.folder}: {files}; they fit no known order of frames:{_reasons(rejected)}")
+    likely = max((len(choice.files), choice.likely) for choice in recognised)
+    choices = [choice for choice in recognised if (len(choice.files), choice.likely) == likely]
+    differ = [*{(choice.patterns, choice.projector_size): choice for choice in choices[::-1]}.values()][::-1]
     if order is None and len(differ) == 1:
         return differ[0]
     if order is not None and order <= len(differ):
         return differ[order - 1]
     fit = f"{len(differ)} orders fit" if len(differ) > 1 else "one order fits"
     names = "".join(
-        f"\n  {number}. {each.layout.name}: {_shown(each.projector_size)}; {describe_order(each.patterns)} ({each.how})"
-        for number, each in enumerate(differ, 1)
+        f"\n  {number}. {choice.layout.name}: {_shown(choice.projector_size)}; {describe_order(choice.patterns)} "
+        f"({choice.how})"
+        for number, choice in enumerate(differ, 1)
     )
     raise InputError(
         f"{files.folder}: {files}; {fit}, choose one with --order and its number, --from or --projector:{names}"
     )
+
+
+def _reasons(rejected: Sequence[Rejected]) -> str:
+    """A line for each reason, the closest layouts first: only those that may fit, if there are any."""
+    closest = [reason for reason in rejected if reason.stage >= OrderStage.MIRRORED] or rejected
+    names: dict[str, list[str]] = defaultdict(list)
+    for reason in closest:
+        names[reason.why].append(reason.layout.name)
+    return "".join(f"\n  {', '.join(of_reason)}: {why}" for why, of_reason in names.items())
 
 
 def _shown(size: tuple[int, int]) -> str:
@@ -110,19 +121,20 @@ def _shown(size: tuple[int, int]) -> str:
 
 
 def _table(
-    every: Sequence[FrameLayout], chosen: Recognised, found: Sequence[Recognised], rejected: Sequence[Rejected]
+    every: Sequence[FrameLayout], chosen: Recognised, recognised: Sequence[Recognised], rejected: Sequence[Rejected]
 ) -> Table:
     """A line for each layout: whether it fits, and why, or why not."""
     table = Table(box=box.SIMPLE, pad_edge=False)
     for heading in ("format", "fits", ""):
         table.add_column(heading, no_wrap=heading != "")
-    whys = {each.layout.name: ("no", each.why) for each in rejected}
-    for each in found:
-        same = (each.patterns, each.projector_size) == (chosen.patterns, chosen.projector_size)
-        whys[each.layout.name] = ("yes" if same else "less", f"{_shown(each.projector_size)}, {each.how}")
+    lines = {reason.layout.name: ("no", reason.why) for reason in rejected}
+    for choice in recognised:
+        same = (choice.patterns, choice.projector_size) == (chosen.patterns, chosen.projector_size)
+        if same or lines.get(choice.layout.name, ("no",))[0] == "no":
+            lines[choice.layout.name] = ("yes" if same else "less", f"{_shown(choice.projector_size)}, {choice.how}")
     for layout in every:
-        if layout.name in whys:
-            table.add_row(layout.name, *(escape(harmless(words)) for words in whys[layout.name]))
+        if layout.name in lines:
+            table.add_row(layout.name, *(escape(harmless(words)) for words in lines[layout.name]))
     return table
 
 

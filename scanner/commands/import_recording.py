@@ -7,7 +7,7 @@ from scanner.recordings import exposure_text, import_recording, read_programme
 from scanner.results import OutputFolder
 from scanner.ui import Terminal
 
-_OF_FRAMES = ("from", "projector", "cell", "periods", "frames", "order")
+_OF_FRAMES = ("from", "projector", "cell", "periods", "frames", "order", "flip")
 
 
 def run(args: Namespace) -> None:

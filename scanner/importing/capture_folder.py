@@ -1,16 +1,19 @@
-"""A capture folder from another program's frames, which are copied unchanged."""
+"""A capture folder from another program's frames, which are copied unchanged or mirrored back."""
 
 from pathlib import Path
 
 from scanner.capture import CAPTURE_FILE
+from scanner.importing.frame_files import read_frame
 from scanner.importing.layout import Size
 from scanner.importing.recognition import Recognised
-from scanner.io import MOST_IMAGE_FILE_BYTES, copy_given, flow_yaml
-from scanner.patterns import FORMAT, frame_line, size_to_dict
+from scanner.io import MOST_IMAGE_FILE_BYTES, copy_given, flow_yaml, write_png
+from scanner.patterns import FORMAT, Axis, frame_line, size_to_dict
 
 
-def write_capture(folder: Path, found: Recognised, camera_size: Size) -> None:
+def write_capture(folder: Path, recognised: Recognised, camera_size: Size, flip: Axis | None = None) -> None:
     """`capture.yaml`, and `frames/` with the images under their own names, into an existing folder.
+
+    Images that are to be mirrored back along an axis are written as PNG.
 
     Raises OSError, InputError.
     """
@@ -18,12 +21,16 @@ def write_capture(folder: Path, found: Recognised, camera_size: Size) -> None:
     frames.mkdir()
     header = {
         "format": FORMAT,
-        "projector": size_to_dict(found.projector_size),
+        "projector": size_to_dict(recognised.projector_size),
         "camera": size_to_dict(camera_size),
-        "imported from": found.layout.title,
+        "imported from": recognised.layout.title,
     }
     lines = [f"{flow_yaml(key)}: {flow_yaml(value)}\n" for key, value in header.items()] + ["frames:\n"]
-    for path, pattern in zip(found.files, found.patterns, strict=True):
-        copy_given(path, frames / path.name, MOST_IMAGE_FILE_BYTES)
-        lines.append(frame_line(f"frames/{path.name}", pattern))
+    for path, pattern in zip(recognised.files, recognised.patterns, strict=True):
+        name = path.name if flip is None else f"{path.stem}.png"
+        if flip is None:
+            copy_given(path, frames / name, MOST_IMAGE_FILE_BYTES)
+        else:
+            write_png(frames / name, read_frame(path, flip))
+        lines.append(frame_line(f"frames/{name}", pattern))
     (folder / CAPTURE_FILE).write_text("".join(lines), encoding="utf-8")

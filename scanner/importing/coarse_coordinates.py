@@ -18,7 +18,10 @@ from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
 _DECIDED, _MOST_MISFIT = 0.05, 0.15
 _FEWEST = 200
 _FEWEST_CERTAIN = 0.3
-_FINEST = 2  # finest bits that the camera may not resolve
+_FINEST = 2  # finest bits that the camera may hardly resolve
+# Share of the lit pixels at which a bit is bright or dark, below which the camera does not resolve it, or hardly, with
+# no finer one that it does; and the number of the coarsest bits, which it always does.
+_UNRESOLVED, _HARDLY, _COARSEST = 0.1, 0.5, 4
 # Levels of a frame relative to half-way between black and white, in swings: its darkest and brightest pixels; hardly
 # resolved stripes, which are neither.
 _ENDS, _FAINT, _NEITHER = (0.1, 0.9), 0.5, 0.45
@@ -30,21 +33,33 @@ _KEPT = 64  # results of the last orders: most orders differ from another one al
 
 @dataclass(frozen=True)
 class Coordinates:
-    """`values` (H, W) along an axis, in cells or pixels, accurate to a few `steps`; where they are `certain`.
-
-    `misfit`: of fringes that determine the coordinate together, and that fit equally well counted from the other end.
-    """
+    """The coordinates of sampled pixels (H, W) along an axis."""
 
     values: Floats
+    """In cells or pixels."""
     certain: Bools
+    """Where they are certain."""
     steps: float = 1.0
+    """They are accurate to a few of these."""
     misfit: float | None = None
+    """Of fringes that determine the coordinate together, and that fit equally well counted from the other end."""
+    unresolved: int = 0
+    """Number of the finest bits that the camera does not resolve."""
 
 
-def coordinates(samples: LevelSamples, patterns: Sequence[Pattern], axis: Axis) -> Coordinates | str | None:
+@dataclass(frozen=True)
+class Mismatch:
+    """Why frames along an axis are not what they are tried as."""
+
+    words: str
+    reached: float
+    """The share of the axis's fringes and bits that are what they should be, before the first that is not."""
+
+
+def coordinates(samples: LevelSamples, patterns: Sequence[Pattern], axis: Axis) -> Coordinates | Mismatch | None:
     """Return the coordinates from the Gray code of an axis, else from its longest fringe or from several close periods.
 
-    Returns None if the axis has neither, or a problem in words.
+    Returns None if the axis has neither.
     """
     ours = ((i, p) for i, p in enumerate(patterns) if isinstance(p, White | Black) or p.axis == axis)
     return _coordinates(samples, tuple(ours), axis)
@@ -54,7 +69,7 @@ _Shown = tuple[tuple[int, Pattern], ...]  # frames by their numbers
 
 
 @lru_cache(_KEPT)
-def _coordinates(samples: LevelSamples, shown: _Shown, axis: Axis) -> Coordinates | str | None:
+def _coordinates(samples: LevelSamples, shown: _Shown, axis: Axis) -> Coordinates | Mismatch | None:
     """`coordinates` from the frames of the axis, white and black."""
     fringes: dict[float, list[tuple[float, int]]] = defaultdict(list)
     for index, pattern in shown:
@@ -65,21 +80,21 @@ def _coordinates(samples: LevelSamples, shown: _Shown, axis: Axis) -> Coordinate
         waves[period] = _wave(samples, tuple(steps))
         wrong = _misfit(samples, waves[period], next(iter(waves.values())))
         if wrong:
-            return f"the fringes of {axis} {wrong}"
-    codes: dict[tuple[int, int], Coordinates] = {}
+            return Mismatch(f"the fringes of {axis} {wrong}", (len(waves) - 1) / (len(fringes) + 1))
+    codes: dict[tuple[float, float], Coordinates] = {}
     for numbering in dict.fromkeys((bit.cell, bit.offset) for _, bit in shown if isinstance(bit, Gray)):
         code = _code(samples, shown, axis, numbering)
-        if isinstance(code, str):
+        if isinstance(code, Mismatch):
             return code
         codes[numbering] = code
     if not codes:
         return _phases(samples, waves, axis)
     if _contradicts_codes(waves, codes):
-        return f"the fringes of {axis} belong to another code"
+        return Mismatch(f"the fringes of {axis} belong to another code", 1.0)
     return next(iter(codes.values()))
 
 
-def _contradicts_codes(waves: "dict[float, _Wave]", codes: dict[tuple[int, int], Coordinates]) -> bool:
+def _contradicts_codes(waves: "dict[float, _Wave]", codes: dict[tuple[float, float], Coordinates]) -> bool:
     """Whether a fringe contradicts codes that together determine half of its period."""
     certain = np.logical_and.reduce([code.certain for code in codes.values()])
     middles = [(code.values + 0.5) * cell - offset - 0.5 for (cell, offset), code in codes.items()]
@@ -144,7 +159,7 @@ def _misfit(samples: LevelSamples, wave: _Wave, first: _Wave) -> str | None:
     return None
 
 
-def _phases(samples: LevelSamples, waves: dict[float, _Wave], axis: Axis) -> Coordinates | str | None:
+def _phases(samples: LevelSamples, waves: dict[float, _Wave], axis: Axis) -> Coordinates | Mismatch | None:
     if not waves:
         return None
     period, whole = max(waves), repeats_after([*waves])
@@ -153,55 +168,83 @@ def _phases(samples: LevelSamples, waves: dict[float, _Wave], axis: Axis) -> Coo
     cosine, sine = (cv2.blur(part, _SMOOTHED) for part in (waves[period].cosine, waves[period].sine))
     certain = samples.lit & (np.hypot(cosine, sine) > _DECIDED * samples.swing)
     if np.count_nonzero(certain) < _FEWEST:
-        return f"the fringes of {axis} are hardly visible"
+        return Mismatch(f"the fringes of {axis} are hardly visible", 1.0)
     return Coordinates(np.mod(np.arctan2(sine, cosine) / (2 * np.pi), 1) * period, certain, period / _STEPS_OF_CYCLE)
 
 
-def _unwrapped(samples: LevelSamples, waves: dict[float, _Wave], whole: float, axis: Axis) -> Coordinates | str:
+def _unwrapped(samples: LevelSamples, waves: dict[float, _Wave], whole: float, axis: Axis) -> Coordinates | Mismatch:
     """Where the fringes of several periods agree, below a coordinate from which on they repeat."""
     if not np.isfinite(whole):
-        return f"the fringes of {axis} have no common period"
+        return Mismatch(f"the fringes of {axis} have no common period", 1.0)
     certain = samples.lit.copy()
     for wave in waves.values():
         certain &= np.hypot(wave.cosine, wave.sine) > _DECIDED * samples.swing
     if np.count_nonzero(certain) < _FEWEST:
-        return f"the fringes of {axis} are hardly visible"
-    found = agreed(np.stack([wave.cycles()[certain] for wave in waves.values()]), [*waves], whole)
-    if isinstance(found, str):
-        return f"the fringes of {axis} {found}"
+        return Mismatch(f"the fringes of {axis} are hardly visible", 1.0)
+    agreement = agreed(np.stack([wave.cycles()[certain] for wave in waves.values()]), [*waves], whole)
+    if isinstance(agreement, str):
+        return Mismatch(f"the fringes of {axis} {agreement}", 1.0)
     values = np.zeros(certain.shape)
-    values[certain] = found.coordinate
-    return Coordinates(values, certain, found.step, found.misfit)
+    values[certain] = agreement.coordinate
+    return Coordinates(values, certain, agreement.step, agreement.misfit)
 
 
-def _code(samples: LevelSamples, shown: _Shown, axis: Axis, numbering: tuple[int, int]) -> Coordinates | str:
-    """The code of an axis with its cell and offset, or its error."""
+def contrasts_of_bits(samples: LevelSamples, patterns: Sequence[Pattern], axis: Axis) -> list[float]:
+    """How far apart the bright and the dark pixels of each bit of an axis's code are, in swings, coarsest first."""
+    of_axis = [(i, p) for i, p in enumerate(patterns) if isinstance(p, White | Black) or p.axis == axis]
+    of_code = {index: p for index, p in of_axis if isinstance(p, Gray)}
+    lit = samples.lit
+    contrasts = []
+    for bit in sorted({p.bit for p in of_code.values()}):
+        bright, dark = _levels_of_bit(samples, of_axis, of_code, bit)
+        share = 1 if len([p for p in of_code.values() if p.bit == bit]) > 1 else 2
+        contrasts.append(share * float(np.quantile(np.abs(bright - dark)[lit] / samples.swing[lit], _ENDS[1])))
+    return contrasts
+
+
+def _code(samples: LevelSamples, shown: _Shown, axis: Axis, numbering: tuple[float, float]) -> Coordinates | Mismatch:
+    """The code of an axis with its cell and offset, without the finest bits that the camera does not resolve."""
     of_code = {index: p for index, p in shown if isinstance(p, Gray) and (p.cell, p.offset) == numbering}
-    frames = {(p.bit, p.inverted): index for index, p in of_code.items()}
     bits = max(p.bits for p in of_code.values())
-    levels, lit = samples.levels, samples.lit
-    ends = tuple(index for index, p in shown if isinstance(p, White | Black))
-    enough = max(_FEWEST, _FEWEST_CERTAIN * np.count_nonzero(lit))
+    lit, enough = samples.lit, max(_FEWEST, _FEWEST_CERTAIN * np.count_nonzero(samples.lit))
     number, certain, before = np.zeros(lit.shape), lit.copy(), np.zeros(lit.shape, np.bool_)
     for bit in range(bits):
-        normal, inverse = frames.get((bit, False)), frames.get((bit, True))
-        alone = [frame for frame in (normal, inverse) if frame is not None]
-        half_way = _middle(samples, ends)
-        if len(alone) == 1:
-            half_way = half_way + _above_middle(samples, *alone, ends) * samples.swing
-        bright = half_way if normal is None else levels[normal]
-        dark = half_way if inverse is None else levels[inverse]
-        one, decided = bright > dark, np.abs(bright - dark) > _DECIDED * samples.swing
+        bright, decided = _bit(samples, shown, of_code, bit)
         if bit < bits - _FINEST:
+            if np.count_nonzero(certain & decided) < enough:  # most wrong orders end at one of the first bits
+                share = float(np.mean(decided[lit]))
+                finer = [float(np.mean(_bit(samples, shown, of_code, n)[1][lit])) for n in range(bit + 1, bits)]
+                if bit >= _COARSEST and max(finer) <= max(share, _UNRESOLVED) < _HARDLY:
+                    cells = 2.0 ** (bits - bit)
+                    return Coordinates((number + 0.5) * cells, certain, cells, unresolved=bits - bit)
+                return Mismatch(
+                    f"bit {bit} of {axis} is neither bright nor dark at {1 - share:.0%} of the pixels", bit / bits
+                )
             certain &= decided
-            if np.count_nonzero(certain) < enough:  # most wrong orders end at one of the first bits
-                share = 1 - certain.sum() / lit.sum()
-                return f"the bits of {axis} are neither bright nor dark at {share:.0%} of the pixels"
-        elif bit == bits - 1 and _is_constant(one[lit & decided]):
-            return f"the finest bit of {axis} never changes"
-        before ^= one
+        elif bit == bits - 1 and _is_constant(bright[lit & decided]):
+            return Mismatch(f"the finest bit of {axis} never changes", bit / bits)
+        before ^= bright
         number = 2 * number + before
     return Coordinates(number, certain)
+
+
+def _bit(samples: LevelSamples, shown: _Shown, of_code: dict[int, Gray], bit: int) -> tuple[Bools, Bools]:
+    """Where a bit is bright (H, W), and where it is decided, from the frames of its code by their numbers."""
+    bright, dark = _levels_of_bit(samples, shown, of_code, bit)
+    return bright > dark, np.abs(bright - dark) > _DECIDED * samples.swing
+
+
+def _levels_of_bit(
+    samples: LevelSamples, shown: Sequence[tuple[int, Pattern]], of_code: dict[int, Gray], bit: int
+) -> tuple[Floats, Floats]:
+    """The levels (H, W) that are compared: those of both frames, or of one and its threshold."""
+    frames = {p.inverted: index for index, p in of_code.items() if p.bit == bit}
+    ends = tuple(index for index, p in shown if isinstance(p, White | Black))
+    half_way = _middle(samples, ends)
+    if len(frames) == 1:
+        half_way = half_way + _above_middle(samples, *frames.values(), ends) * samples.swing
+    bright, dark = (samples.levels[frames[inverted]] if inverted in frames else half_way for inverted in (False, True))
+    return bright, dark
 
 
 @lru_cache(_KEPT)

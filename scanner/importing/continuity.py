@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from scanner.importing.coarse_coordinates import coordinates
+from scanner.importing.coarse_coordinates import Mismatch, coordinates
 from scanner.importing.samples import LevelSamples
 from scanner.patterns import Axis, Gray, Pattern
 
@@ -28,10 +28,12 @@ def broken_order(lines: LevelSamples, patterns: Sequence[Pattern], axis: Axis) -
     bits = max((p.bits for p in patterns if isinstance(p, Gray) and p.axis == axis), default=0)
     if not bits:
         return None
-    seen = coordinates(lines, patterns, axis)
-    if isinstance(seen, str) or seen is None:
-        return seen
-    number, certain = ((part if axis == "x" else part.T) for part in (seen.values.astype(np.int64), seen.certain))
+    code = coordinates(lines, patterns, axis)
+    if isinstance(code, Mismatch):
+        return code.words
+    if code is None:
+        return None
+    number, certain = ((part if axis == "x" else part.T) for part in (code.values.astype(np.int64), code.certain))
     place = np.flatnonzero(certain)
     row, column = np.divmod(place, certain.shape[1])
     beside = (np.diff(row) == 0) & (np.diff(column) <= _MOST_APART_PX)

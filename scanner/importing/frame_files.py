@@ -8,8 +8,10 @@ from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
+from calib.numerics import Image
 from scanner.errors import InputError
-from scanner.io import SUFFIXES
+from scanner.io import SUFFIXES, read_image
+from scanner.patterns import Axis
 
 _FEWEST = 3
 _LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
@@ -38,6 +40,14 @@ class FrameFiles:
     def __str__(self) -> str:
         named = [path.name for path in (self.white, self.black) if path]
         return " and ".join([f"{len(self.numbered)} frames, {_span(self.numbered)}", *named])
+
+
+def read_frame(path: Path, flip: Axis | None) -> Image:
+    """An image, mirrored back left to right (`flip` x) or top to bottom (y). Raises InputError."""
+    image = read_image(path)
+    if flip is None:
+        return image
+    return image[:, ::-1].copy() if flip == "x" else image[::-1].copy()
 
 
 def find_frames(folder: Path, pattern: str | None = None) -> FrameFiles:

@@ -4,14 +4,14 @@ import re
 from pathlib import Path
 
 from scanner.importing.layout import FrameLayout, Given, SequenceOf, Size
-from scanner.importing.orders import bits_of, fringe, gray_bits, other_gray_orders, pairs, with_ends, x_and_y
+from scanner.importing.orders import fringe, gray_bits, other_gray_orders, pairs, with_ends, x_and_y
 from scanner.io import read_text
-from scanner.patterns import Axis, Black, Gray, Pattern, White
+from scanner.patterns import Axis, Black, Gray, Pattern, White, count_bits
 
 
 def _moreno_taubin(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
     """White, black, as many of the coarsest bits of x as of y, counted from the middle."""
-    most = min(*(bits_of(length, cell) for length in size), (frames - 2) // 4)
+    most = min(*(count_bits(length, cell) for length in size), (frames - 2) // 4)
     if most < 1:
         return ()
     codes = (bit for axis, length in x_and_y(size) for bit in gray_bits(axis, length, cell, most=most, centred=True))
@@ -91,7 +91,7 @@ def _slstudio_fringes(cycles: int, steps: int, *axes: Axis) -> SequenceOf:
 def _sltk(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
     """As many bits for the shorter axis as for the longer one, in pairs."""
     del frames
-    bits = max(bits_of(length, cell) for length in size)
+    bits = max(count_bits(length, cell) for length in size)
     return tuple(bit for axis, length in x_and_y(size) for bit in gray_bits(axis, length, cell, least=bits))
 
 

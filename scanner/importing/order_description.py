@@ -5,21 +5,32 @@ from itertools import groupby
 
 from scanner.patterns import Black, Gray, Pattern, Phase, White
 
+_MOST_RUNS = 4  # of patterns along one axis: the fringes, then the codes
+
 
 def describe_order(patterns: Sequence[Pattern]) -> str:
     """Axes, which bit is first, where inverses are, and where white and black are."""
     bits = [pattern for pattern in patterns if isinstance(pattern, Gray)]
-    axes = dict.fromkeys(p.axis for p in patterns if isinstance(p, Gray | Phase))
-    parts = [", then ".join(axes)]
+    axes = [axis for axis, _ in groupby(p.axis for p in patterns if isinstance(p, Gray | Phase))]
+    by_turns = len(axes) > _MOST_RUNS
+    parts = [" and ".join(axes[:2]) + " by turns" if by_turns else ", then ".join(dict.fromkeys(axes))]
+    fringes = dict.fromkeys(p.period for p in patterns if isinstance(p, Phase))
     if bits:
         first, second = [p for p in bits if p.axis == bits[0].axis and p.inverted == bits[0].inverted][:2]
+        parts += [] if all(bit.cell == 1 for bit in bits) else [describe_cells(bits)]
+        parts += ["codes counted from the middle"] if any(bit.offset for bit in bits) and not fringes else []
         parts += ["coarsest bit first" if first.bit < second.bit else "finest bit first", _inverses(bits)]
-    fringes = dict.fromkeys(p.period for p in patterns if isinstance(p, Phase))
     if fringes:
         shifts = [p.shift for p in patterns if isinstance(p, Phase)]
         shifted = f"shifted from {shifts[0] % 1:.2g} cycles {'on' if shifts[1] > shifts[0] else 'back'}"
         parts.append(f"fringes of {', '.join(f'{period:.4g}' for period in fringes)} px, {shifted}")
     return "; ".join([*parts, *_ends(patterns)])
+
+
+def describe_cells(patterns: Sequence[Pattern]) -> str:
+    """The lengths of the cells of Gray codes."""
+    lengths = dict.fromkeys(f"{p.cell:g}" for p in patterns if isinstance(p, Gray))
+    return f"cells of {' and '.join(lengths)} px"
 
 
 def _inverses(bits: Sequence[Gray]) -> str:

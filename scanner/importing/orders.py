@@ -3,26 +3,20 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache, lru_cache
-from itertools import product
-from math import ceil, log2
+from itertools import product, zip_longest
 
 from scanner.importing.layout import SequenceOf, Size
-from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
+from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, count_bits
 
 _SIZES_KEPT = 128  # of projectors: more than are tried with each place of white and black
 ENDS: tuple[tuple[Pattern, ...], ...] = ((White(), Black()), (Black(), White()))
-
-
-def bits_of(length: int, cell: int = 1) -> int:
-    """Return the number of bits that distinguish the cells along an axis."""
-    return max(1, ceil(log2(ceil(length / cell))))
 
 
 @cache  # the same ones are in hundreds of orders
 def gray_bits(
     axis: Axis,
     length: int,
-    cell: int = 1,
+    cell: float = 1,
     *,
     inverses: bool = True,
     least: int = 1,
@@ -34,12 +28,14 @@ def gray_bits(
     `least`: at least this many bits, of which the first never change; `most`: at most this many, which makes cells
     coarser. `centred`: the middle of the axis is the middle of all codes.
     """
-    bits = max(least, bits_of(length, cell))
-    offset = (cell * (1 << bits) - length) // 2 if centred else 0
+    bits = max(least, count_bits(length, cell))
+    offset = (cell * 2**bits - length) // 2 if centred else 0
     shown = bits if most is None else min(bits, most)
     signs = (False, True) if inverses else (False,)
     return tuple(
-        Gray(axis, bit, shown, cell << bits - shown, offset, inverted) for bit in range(shown) for inverted in signs
+        Gray(axis, bit, shown, cell * 2 ** (bits - shown), offset, inverted)
+        for bit in range(shown)
+        for inverted in signs
     )
 
 
@@ -74,30 +70,36 @@ def with_ends(
 
 
 def other_gray_orders() -> tuple[SequenceOf, ...]:
-    """Gray codes in all other orders that people think of: of both axes, in either order, or of one; the coarsest bit
-    first or the finest; inverses behind each bit, behind those of an axis, behind all, or none; white and black as in
-    `with_ends`.
+    """Gray codes in all other orders that people think of: of both axes, in either order or by turns, or of one; the
+    coarsest bit first or the finest; inverses behind each bit, behind those of an axis, behind all, or none; white and
+    black as in `with_ends`.
     """
-    axes: tuple[tuple[Axis, ...], ...] = (("x", "y"), ("y", "x"), ("x",), ("y",))
-    found: list[SequenceOf] = []
-    for chosen, arranged, fine_first in product(axes, (_by_bit, _by_axis, _at_the_end, _none), (False, True)):
+    both: tuple[tuple[Axis, ...], ...] = (("x", "y"), ("y", "x"))
+    in_a_row = product((*both, ("x",), ("y",)), (False,), (_by_bit, _by_axis, _at_the_end, _none))
+    by_turns = product(both, (True,), (_by_bit, _at_the_end, _none))
+    sequences: list[SequenceOf] = []
+    for (axes, turns, arranged), fine_first in product([*in_a_row, *by_turns], (False, True)):
 
         def sequence(
             size: Size,
             cell: int,
             frames: int,
-            chosen: tuple[Axis, ...] = chosen,
+            axes: tuple[Axis, ...] = axes,
+            turns: bool = turns,
             arranged: Arrangement = arranged,
             fine_first: bool = fine_first,
         ) -> tuple[Pattern, ...]:
             del frames
-            of_axes = [[*gray_bits(axis, dict(x_and_y(size))[axis], cell, inverses=False)] for axis in chosen]
-            return arranged([bits[::-1] if fine_first else bits for bits in of_axes])
+            lengths = dict(x_and_y(size))
+            runs = [[*gray_bits(axis, lengths[axis], cell, inverses=False)] for axis in axes]
+            runs = [bits[::-1] for bits in runs] if fine_first else runs
+            return arranged([[bit for turn in zip_longest(*runs) for bit in turn if bit]] if turns else runs)
 
-        found += with_ends(sequence, first=True, last=True, without=True)
-    return tuple(found)
+        sequences += with_ends(sequence, first=True, last=True, without=True)
+    return tuple(sequences)
 
 
+# The frames of runs of bits, with their inverses.
 Arrangement = Callable[[list[list[Gray]]], tuple[Pattern, ...]]
 
 
@@ -110,18 +112,18 @@ def _inverted(bits: list[Gray]) -> list[Gray]:
     return [*map(_inverse, bits)]
 
 
-def _by_bit(axes: list[list[Gray]]) -> tuple[Pattern, ...]:
-    return tuple(one for bits in axes for pair in zip(bits, _inverted(bits), strict=True) for one in pair)
+def _by_bit(runs: list[list[Gray]]) -> tuple[Pattern, ...]:
+    return tuple(frame for bits in runs for pair in zip(bits, _inverted(bits), strict=True) for frame in pair)
 
 
-def _by_axis(axes: list[list[Gray]]) -> tuple[Pattern, ...]:
-    return tuple(one for bits in axes for one in (*bits, *_inverted(bits)))
+def _by_axis(runs: list[list[Gray]]) -> tuple[Pattern, ...]:
+    return tuple(frame for bits in runs for frame in (*bits, *_inverted(bits)))
 
 
-def _at_the_end(axes: list[list[Gray]]) -> tuple[Pattern, ...]:
-    every = [bit for bits in axes for bit in bits]
+def _at_the_end(runs: list[list[Gray]]) -> tuple[Pattern, ...]:
+    every = [bit for bits in runs for bit in bits]
     return (*every, *_inverted(every))
 
 
-def _none(axes: list[list[Gray]]) -> tuple[Pattern, ...]:
-    return tuple(bit for bits in axes for bit in bits)
+def _none(runs: list[list[Gray]]) -> tuple[Pattern, ...]:
+    return tuple(bit for bits in runs for bit in bits)

@@ -12,13 +12,15 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, Floats
-from scanner.importing.coarse_coordinates import Coordinates, coordinates
+from scanner.importing.coarse_coordinates import Coordinates, Mismatch, contrasts_of_bits, coordinates
 from scanner.importing.samples import LevelSamples
 from scanner.importing.unwrapping import PLACES_OF_CYCLE
 from scanner.patterns import Axis, Black, Pattern, White
 
 _FEWEST = 200
-_LEAST_CONTRAST = 0.5
+_AXES: tuple[Axis, ...] = ("x", "y")
+_MOST_DARKER = 0.1
+_FAINT = 0.8
 # Random codes differ by a quarter of their range, neighbours on a surface by hundredths.
 _MOST_APART = 0.1
 _LEAST_UPRIGHT = 0.65
@@ -29,100 +31,153 @@ _MOST_JUMPS = 0.2
 _AS_CLOSE = 1.5
 
 
-class PlausibilityStage(IntEnum):
-    """The stage that a quick look at the frames has reached."""
+class OrderStage(IntEnum):
+    """How far the frames got as some patterns."""
 
-    LIGHT = 0
-    SIGNALS = 1
-    NEIGHBOURS = 2
-    GEOMETRY = 3
+    COUNT = 0
+    """There are as many frames."""
+    LIGHT = 1
+    """White is brighter than black."""
+    SIGNALS = 2
+    """Frames are bits or fringes."""
+    NEIGHBOURS = 3
+    """Neighbouring pixels have neighbouring coordinates."""
+    GEOMETRY = 4
+    """The coordinates of both axes belong together."""
+    MIRRORED = 5
+    """They only look as in a mirror."""
+    DECODING = 6
+    """All frames decode."""
+    OPTIONS = 7
+    """They may decode once more is known."""
+    SIZE = 8
+    """They fit projectors of several sizes, or none."""
 
 
 @dataclass(frozen=True)
 class Objection:
-    """Why frames cannot be some patterns, in a few words."""
+    """Why frames cannot be some patterns."""
 
-    stage: PlausibilityStage
+    stage: OrderStage
+    """The stage that they did not pass."""
     words: str
+    reached: float = 0.0
+    """The share of the stage that they did pass."""
+    flip: Axis | None = None
+    """The axis along which they look mirrored."""
 
 
 def objection(samples: LevelSamples, patterns: Sequence[Pattern]) -> Objection | None:
     """Why the frames cannot be these patterns; None if they may be."""
     if np.count_nonzero(samples.lit) < _FEWEST:
-        return Objection(PlausibilityStage.LIGHT, "the frames hardly differ")
-    known = {type(p): samples.levels[index] for index, p in enumerate(patterns) if isinstance(p, White | Black)}
-    if White in known and Black in known:
-        contrast = (known[White] - known[Black])[samples.lit] / samples.swing[samples.lit]
-        if np.median(contrast) < _LEAST_CONTRAST:
-            return Objection(PlausibilityStage.LIGHT, "the white frame is not brighter than the black one")
-    found: dict[Axis, Coordinates] = {}
-    axes: tuple[Axis, ...] = ("x", "y")
-    for axis in axes:
-        seen = coordinates(samples, patterns, axis)
-        if isinstance(seen, str):
-            return Objection(PlausibilityStage.SIGNALS, seen)
-        if seen is not None:
-            found[axis] = seen
+        return Objection(OrderStage.LIGHT, "the frames hardly differ")
+    ends = {type(p): samples.levels[index] for index, p in enumerate(patterns) if isinstance(p, White | Black)}
+    if White in ends and Black in ends:
+        # An automatic exposure takes the contrast, but does not make black the brighter one.
+        darker = float(np.mean((ends[White] <= ends[Black])[samples.lit]))
+        if darker > _MOST_DARKER:
+            return Objection(OrderStage.LIGHT, f"white is darker than black at {darker:.0%} of the pixels")
+    by_axis: dict[Axis, Coordinates] = {}
+    for axis in _AXES:
+        measured = coordinates(samples, patterns, axis)
+        if isinstance(measured, Mismatch):
+            return Objection(OrderStage.SIGNALS, measured.words, len(by_axis) + measured.reached)
+        if measured is not None:
+            by_axis[axis] = measured
     # A mirrored capture with x before y looks like one with y before x and the camera on its side.
-    may_be_turned = len(found) > 1 and next(p.axis for p in patterns if not isinstance(p, White | Black)) == "x"
-    may_be_turned &= not any(seen.misfit is not None for seen in found.values())
-    against = None if may_be_turned else _along_the_other(found)
-    return _scattered(found) or against or (_nonsense(samples, found) if len(found) > 1 else None)
+    may_be_turned = len(by_axis) > 1 and next(p.axis for p in patterns if not isinstance(p, White | Black)) == "x"
+    may_be_turned &= not any(measured.misfit is not None for measured in by_axis.values())
+    turned = None if may_be_turned else _along_the_other(by_axis)
+    return _scattered(by_axis) or turned or (_nonsense(samples, by_axis) if len(by_axis) > 1 else None)
+
+
+def faint_bits(samples: LevelSamples, patterns: Sequence[Pattern]) -> dict[Axis, int]:
+    """How many of the finest bits of each axis have less contrast than the coarsest, so that they may be wrong."""
+    contrasts = {axis: contrasts_of_bits(samples, patterns, axis) for axis in _AXES}
+    return {
+        axis: next(n for n, contrast in enumerate([*of_bits[::-1], 1.0]) if contrast >= _FAINT * max(of_bits))
+        for axis, of_bits in contrasts.items()
+        if of_bits
+    }
+
+
+def unresolved_bits(samples: LevelSamples, patterns: Sequence[Pattern]) -> dict[Axis, int]:
+    """How many of the finest bits of each axis the camera does not resolve, in frames that may be these patterns."""
+    by_axis = {axis: coordinates(samples, patterns, axis) for axis in _AXES}
+    return {axis: code.unresolved for axis, code in by_axis.items() if isinstance(code, Coordinates)}
 
 
 def best_fitting(samples: LevelSamples, orders: Sequence[Sequence[Pattern]]) -> list[int]:
     """The numbers of the orders that fit the frames best, if only fringes decide; others fit partly by chance."""
-    axes: tuple[Axis, ...] = ("x", "y")
     misfits = []
     for patterns in orders if len(orders) > 1 else ():
-        seen = [coordinates(samples, patterns, axis) for axis in axes]
-        misfits.append(sum(one.misfit or 0.0 for one in seen if isinstance(one, Coordinates)))
+        by_axis = [coordinates(samples, patterns, axis) for axis in _AXES]
+        misfits.append(sum(measured.misfit or 0.0 for measured in by_axis if isinstance(measured, Coordinates)))
     return [number for number, misfit in enumerate(misfits) if misfit <= _AS_CLOSE * min(misfits)] if misfits else [0]
 
 
-def _along_the_other(found: dict[Axis, Coordinates]) -> Objection | None:
+def _along_the_other(by_axis: dict[Axis, Coordinates]) -> Objection | None:
     """Devices stand roughly upright: x grows along the camera's rows, y along its columns."""
-    for axis, seen in found.items():
-        farthest = _MOST_APART * _spread(seen)
-        steps = [np.abs(after - before) for before, after in _adjacent(seen.values, seen.certain)]
+    for axis, measured in by_axis.items():
+        farthest = _MOST_APART * _spread(measured)
+        steps = [np.abs(after - before) for before, after in _adjacent(measured.values, measured.certain)]
         across, down = (float(np.mean(np.minimum(step, farthest))) if len(step) else 0.0 for step in steps)
         if (across < down) == (axis == "x"):
-            return Objection(PlausibilityStage.GEOMETRY, f"the stripes run the other way than those of {axis}")
-        right, below = (after - before for before, after in _adjacent(seen.values, seen.certain))
-        if seen.misfit is not None and np.median(right if axis == "x" else below) < 0:
-            return Objection(PlausibilityStage.GEOMETRY, f"the fringes of {axis} run backwards")
+            return Objection(OrderStage.GEOMETRY, f"the stripes run the other way than those of {axis}")
+        if measured.misfit is not None and _mean_step(measured, axis) < 0:
+            return Objection(OrderStage.GEOMETRY, f"the fringes of {axis} run backwards")
     return None
 
 
-def _scattered(found: dict[Axis, Coordinates]) -> Objection | None:
-    for axis, seen in found.items():
-        steps = np.concatenate([np.abs(after - before) for before, after in _adjacent(seen.values, seen.certain)])
-        if not len(steps) or np.median(steps) > max(_MOST_APART * _spread(seen), 1.0):
-            return Objection(PlausibilityStage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
-        if seen.misfit is not None and np.mean(steps > 2 * PLACES_OF_CYCLE * seen.steps) > _MOST_JUMPS:
-            return Objection(
-                PlausibilityStage.NEIGHBOURS, f"the fringes of {axis} contradict each other: other --periods?"
-            )
+def _mean_step(measured: Coordinates, axis: Axis) -> float:
+    """How often a coordinate grows to the next pixel along an upright camera's rows or columns, or falls: −1 to 1."""
+    before, after = _adjacent(measured.values, measured.certain)[_AXES.index(axis)]
+    return float(np.mean(np.sign(after - before))) if len(before) else 0.0
+
+
+def _scattered(by_axis: dict[Axis, Coordinates]) -> Objection | None:
+    for axis, measured in by_axis.items():
+        pairs = _adjacent(measured.values, measured.certain)
+        steps = np.concatenate([np.abs(after - before) for before, after in pairs])
+        if not len(steps) or np.median(steps) > max(_MOST_APART * _spread(measured), 1.0):
+            return Objection(OrderStage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
+        if measured.misfit is not None and np.mean(steps > 2 * PLACES_OF_CYCLE * measured.steps) > _MOST_JUMPS:
+            return Objection(OrderStage.NEIGHBOURS, f"the fringes of {axis} contradict each other: other --periods?")
     return None
 
 
-def _spread(seen: Coordinates) -> float:
-    return float(np.ptp(np.percentile(seen.values[seen.certain], (5, 95))))
+def _spread(measured: Coordinates) -> float:
+    return float(np.ptp(np.percentile(measured.values[measured.certain], (5, 95))))
 
 
-def _nonsense(samples: LevelSamples, found: dict[Axis, Coordinates]) -> Objection | None:
-    x, y = found["x"], found["y"]
+def _nonsense(samples: LevelSamples, by_axis: dict[Axis, Coordinates]) -> Objection | None:
+    x, y = by_axis["x"], by_axis["y"]
     both = x.certain & y.certain
     if np.count_nonzero(both) < _FEWEST:
-        return Objection(PlausibilityStage.SIGNALS, "too few pixels have both codes")
+        return Objection(OrderStage.SIGNALS, "too few pixels have both codes", 2.0)
     upright = _upright(x.values, y.values, both)
-    if upright < _LEAST_UPRIGHT:
-        return Objection(PlausibilityStage.GEOMETRY, f"the codes are mirrored at {1 - upright:.0%} of the pixels")
+    if 1 - _LEAST_UPRIGHT < upright < _LEAST_UPRIGHT:
+        return Objection(
+            OrderStage.GEOMETRY,
+            f"x and y belong to different codes: they are mirrored at {1 - upright:.0%} of the pixels",
+        )
     projector_px = np.stack([x.values[both] / x.steps, y.values[both] / y.steps], axis=1)
     on_lines = share_on_epipolar_lines(samples.camera_px[both], projector_px)
     if on_lines < _LEAST_ON_LINES:
-        return Objection(PlausibilityStage.GEOMETRY, f"only {on_lines:.0%} of the pixels obey one epipolar geometry")
-    return None
+        return Objection(OrderStage.GEOMETRY, f"only {on_lines:.0%} of the pixels obey one epipolar geometry", on_lines)
+    if upright >= _LEAST_UPRIGHT:
+        return None
+    if _along_the_other(by_axis):
+        words = "the codes are mirrored, or x and y are exchanged"
+        return Objection(OrderStage.GEOMETRY, words, on_lines)
+    flip: Axis = "x" if _mean_step(x, "x") < 0 else "y"
+    return Objection(
+        OrderStage.MIRRORED,
+        f"fits, but {flip} runs backwards, as in a mirror, at {1 - upright:.0%} of the pixels. If writing in them is "
+        f"mirrored, the camera or its driver mirrors: give --flip {flip}. If it is not, the projector does, as for "
+        "rear projection: switch that off and take the frames again, for flipped ones would show the room in a mirror",
+        flip=flip,
+    )
 
 
 def _adjacent(numbers: Floats, there: Bools) -> list[tuple[Floats, Floats]]:

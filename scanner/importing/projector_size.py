@@ -1,11 +1,9 @@
 """How large the projector is, from the codes that the camera saw.
 
-It is one that projectors have, if one of these fits; of several the one whose rim was seen. Any other has to be seen to
-end, inside the camera's image and straight: all rows at the same column.
-
-A projector of two or four times as many pixels shows the same codes with cells of two or four. Nothing in the frames
-tells them apart, and calibrated as the wrong one, all lengths in the projector's pixels are off by that factor. So
-where a multiple is sold more often than the size itself, both are possible.
+It is a usual size whose codes are those seen; of several, one whose rim was seen. Cells of one projector pixel, two or
+four show the same frames on projectors of different sizes: the smallest is taken if it is often met and the larger
+ones need longer cells or are seldom met; otherwise all are returned. Any other size has to be seen to end, inside the
+camera's image and straight: all rows at the same column.
 """
 
 from collections.abc import Sequence
@@ -17,20 +15,19 @@ import numpy as np
 from calib.geometry import Matches
 from calib.numerics import Bools, Floats
 from scanner.importing.layout import Candidate, Given, Size
-from scanner.patterns import Axis, Gray, Pattern, Phase
+from scanner.importing.order_description import describe_cells
+from scanner.patterns import Axis, Gray, Pattern
 
-# Sizes of projectors on the market, and of the light engines of scanners.
-_COMMON: tuple[Size, ...] = (
-    (608, 684), (640, 360), (640, 480), (800, 480), (800, 600), (848, 480), (854, 480), (912, 1140), (960, 540),
-    (1024, 600), (1024, 768), (1280, 720), (1280, 768), (1280, 800), (1280, 1024), (1366, 768), (1400, 1050),
-    (1440, 900), (1600, 900), (1600, 1200), (1680, 1050), (1920, 1080), (1920, 1200), (2048, 1080), (2048, 1536),
-    (2560, 1440), (2560, 1600), (3840, 2160), (4096, 2160),
+# Sizes of projectors on the market, and of the light engines of scanners; and those that are seldom met.
+_OFTEN: tuple[Size, ...] = (
+    (608, 684), (640, 480), (800, 600), (848, 480), (854, 480), (912, 1140), (1024, 768), (1280, 720), (1280, 768),
+    (1280, 800), (1280, 1024), (1366, 768), (1400, 1050), (1440, 900), (1600, 900), (1680, 1050), (1920, 1080),
+    (1920, 1200), (3840, 2160),
 )  # fmt: skip
-# Sizes that most projectors have; the rest of those above is rare.
-_USUAL: frozenset[Size] = frozenset(
-    {(800, 600), (854, 480), (1024, 768), (1280, 720), (1280, 800), (1920, 1080), (1920, 1200), (3840, 2160)}
-)
-_ENLARGED = (1, 2, 4)
+_SELDOM: tuple[Size, ...] = (
+    (640, 360), (800, 480), (960, 540), (1024, 600), (1600, 1200), (2048, 1080), (2048, 1536), (2560, 1440),
+    (2560, 1600), (4096, 2160),
+)  # fmt: skip
 _STRIPES = 24
 _FEWEST_IN_STRIPE = 5
 _MOST_STRAY = 0.0005
@@ -41,32 +38,48 @@ _SLACK = 2  # partly visible cells at the rim are dropped
 
 @dataclass(frozen=True)
 class Extent:
-    """The smallest and the largest code along an axis, and whether the picture `ends` at the largest."""
+    """The smallest and the largest code along an axis that the camera saw."""
 
     low: int
     high: int
+    begins: bool
+    """Whether the picture begins at the smallest: inside the camera's image and straight."""
     ends: bool
+    """Whether it ends so at the largest."""
 
     def allows(self, first: int, last: int) -> bool:
         """Whether codes from `first` to `last` may have been shown."""
         return first - _SLACK <= self.low and self.high <= last + _SLACK
 
-    def reaches(self, first: int, last: int) -> int:
-        """Count the observed ends that depend on the projector's size."""
-        return int(first > 0 and self.low - first <= _SLACK) + int(last - self.high <= _SLACK)
+    def contradicts(self, first: int, last: int) -> bool:
+        """Whether the picture is seen to begin or to end inside codes from `first` to `last`."""
+        return (self.begins and self.low - first > _SLACK) or (self.ends and last - self.high > _SLACK)
+
+    def reaches(self, first: int, last: int, *, straight: bool = False) -> int:
+        """Count the observed ends that depend on the projector's size, or only the straight ones."""
+        begins = first > 0 and self.low - first <= _SLACK and (self.begins or not straight)
+        return int(begins) + int(last - self.high <= _SLACK and (self.ends or not straight))
 
 
 @dataclass(frozen=True)
-class PossibleSize:
-    """A size that the projector may have, by the codes that were seen."""
+class SizeFit:
+    """A projector whose codes may be those that the camera saw."""
 
     size: Size
     patterns: tuple[Pattern, ...]
-    """What it showed then."""
+    """The patterns of all frames on it."""
+    cell: int
+    """Length of the order's cells in pixels, before any that the order itself makes longer."""
     reached: tuple[int, int]
-    """How many ends of its codes in x and in y were seen."""
-    enlarged: int = 1
-    """How many of its pixels each pixel of the smallest such projector takes up, in each direction."""
+    """How many ends of its codes were seen, in x and in y."""
+    is_contradicted: bool
+    """Whether the picture is seen to begin or to end inside its codes."""
+    is_own: bool
+    """Whether the order counts its codes from where they are counted on it."""
+    is_often: bool
+    """Whether such projectors are often met."""
+    is_usual: bool = True
+    """Whether there are such projectors at all."""
 
     @property
     def total(self) -> int:
@@ -74,61 +87,45 @@ class PossibleSize:
         return sum(self.reached)
 
     @property
-    def rank(self) -> int:
-        """How often such projectors are sold: 2 often, 1 rarely, 0 never."""
-        return int(self.size in _COMMON) + int(self.size in _USUAL)
-
-    @property
     def reason(self) -> str:
         """Why it is among several."""
-        sold = ("is no usual size", "is rare", "is usual")[self.rank]
-        width, height = self.size
-        return f"{width} × {height} {sold}" + (f", with cells of {self.enlarged} px" if self.enlarged > 1 else "")
+        met = "is usual" if self.is_often else "is rare" if self.is_usual else "is no usual size"
+        return f"{show_size(self.size)} {met}" + (f", with cells of {self.cell} px" if self.cell > 1 else "")
+
+    def __str__(self) -> str:
+        """Describe the projector: 1280 × 720 in cells of 2 px."""
+        return f"{show_size(self.size)} in {describe_cells(self.patterns)}"
 
 
-def possible_sizes(candidate: Candidate, extents: Sequence[Extent], given: Given) -> list[PossibleSize]:
-    """Sizes that the projector may have by the codes in x and y: the likeliest, or all that are equally so, the most
-    usual first; several where a multiple is sold more often.
-    """
-    possible = [fit for size in _COMMON if (fit := _fit(candidate, size, extents, given))]
-    if not possible and all(extent.ends for extent in extents) and not _shows_any_scale(candidate):
-        fit = _fit(candidate, _measured(candidate, extents), extents, given)
-        possible = [fit] if fit else []
-    most = max((fit.total for fit in possible), default=0)
-    best = [fit for fit in possible if fit.total == most]
-    if best and all(best[0].reached):
-        best = [best[0], *(fit for fit in best[1:] if fit.rank > best[0].rank)]
-    if given.cell is not None:
-        return best
-    every = {fit.size: fit for smallest in reversed(best) for fit in _multiples(candidate, smallest)}
-    usual = max((fit.rank for fit in every.values()), default=0)
-    return best if len(best) == 1 and best[0].rank >= usual else sorted(every.values(), key=_most_usual_first)
+def show_size(size: Size) -> str:
+    """Width and height."""
+    return f"{size[0]} × {size[1]}"
 
 
-def _most_usual_first(fit: PossibleSize) -> tuple[int, int]:
-    return -fit.rank, fit.enlarged
+def find_sizes(candidate: Candidate, extents: Sequence[Extent], given: Given) -> list[SizeFit]:
+    """Projectors that the codes in x and y fit best, the likeliest first."""
+    sizes = [given.projector_size] if given.projector_size else [*_OFTEN, *_SELDOM]
+    fits = _fits(candidate, sizes, extents, given) or _fits(candidate, sizes, extents, replace(given, cell=None))
+    reached = max((fit.total for fit in fits), default=0)
+    best = [fit for fit in fits if fit.total == reached]
+    of_pixels = replace(given, cell=given.cell or 1)
+    is_measurable = all(extent.ends for extent in extents) and not (given.projector_size or _has_any_scale(candidate))
+    if is_measurable and all(fit.cell != of_pixels.cell for fit in best):
+        measured = _fits(candidate, [_measured(candidate, extents, of_pixels.cells[0])], extents, of_pixels)
+        best += [replace(fit, is_often=False, is_usual=False) for fit in measured]
+    return sorted(best, key=lambda fit: (not fit.is_usual, not fit.is_often, fit.cell, fit.size))
 
 
-def _multiples(candidate: Candidate, smallest: PossibleSize) -> list[PossibleSize]:
-    """The same codes on projectors of one, two and four times the size; of a size that nobody sells, also with a code
-    more in x or in y, since the last one may be hidden.
-    """
-    (width, height), cells = smallest.size, [_code_of(smallest.patterns, axis).cell for axis in (0, 1)]
-    more = (0, 1) if smallest.rank == 0 else (0,)
-    sizes = [smallest.size, *((width + dx * cells[0], height + dy * cells[1]) for dx in more for dy in more)]
-    multiples = {smallest.size: smallest}
-    for (across, down), times in product(sizes, _ENLARGED):
-        size = across * times, down * times
-        if size in _COMMON and size not in multiples:
-            patterns = tuple(_enlarged(pattern, times) for pattern in candidate.for_size((across, down)))
-            multiples[size] = replace(smallest, size=size, patterns=patterns, enlarged=times)
-    return list(multiples.values())
-
-
-def _enlarged(pattern: Pattern, times: int) -> Pattern:
-    if isinstance(pattern, Gray):
-        return replace(pattern, cell=pattern.cell * times, offset=pattern.offset * times)
-    return replace(pattern, period=pattern.period * times) if isinstance(pattern, Phase) else pattern
+def is_clear(fits: Sequence[SizeFit], given: Given) -> bool:
+    """Whether the first of several fits can be taken without asking."""
+    first = fits[0]
+    if first.size == given.projector_size:
+        return first.cell in given.cells
+    is_plain = first.cell == (given.cell or 1)
+    if len(fits) == 1:
+        return is_plain or all(first.reached)
+    is_least = is_plain and first.is_often and first.size == min(fit.size for fit in fits)
+    return is_least and all(fit.cell > first.cell or not fit.is_often for fit in fits[1:])
 
 
 def extents_of(candidate: Candidate, matches: Matches, camera_size: Size) -> tuple[Extent, Extent]:
@@ -142,14 +139,16 @@ def extents_of(candidate: Candidate, matches: Matches, camera_size: Size) -> tup
 def _extent(values: Floats, across: Floats, inside: Bools) -> Extent:
     """Of codes (N,) along an axis, with those `across`; the picture ends only `inside` the camera's image."""
     low, high = (int(value) for value in np.quantile(values, (_MOST_STRAY, 1 - _MOST_STRAY), method="nearest"))
-    stripes = np.floor((across - across.min()) / (np.ptp(across) + 1) * _STRIPES).astype(np.int64)
-    straight, total = 0, 0
-    for members in (np.flatnonzero(stripes == stripe) for stripe in range(_STRIPES)):
-        if len(members) >= _FEWEST_IN_STRIPE:
-            last = members[np.argmax(values[members])]
-            straight += bool(inside[last] and abs(values[last] - high) <= _SLACK)
-            total += 1
-    return Extent(low, high, total > 0 and straight >= _LEAST_STRAIGHT * total)
+    stripe = np.floor((across - across.min()) / (np.ptp(across) + 1) * _STRIPES).astype(np.int64)
+    groups = [np.flatnonzero(stripe == number) for number in range(_STRIPES)]
+    groups = [members for members in groups if len(members) >= _FEWEST_IN_STRIPE]
+
+    def is_straight(end: int, sign: int) -> bool:
+        outermost = np.array([members[np.argmax(sign * values[members])] for members in groups], np.int64)
+        straight = inside[outermost] & (np.abs(values[outermost] - end) <= _SLACK)
+        return len(groups) > 0 and int(np.count_nonzero(straight)) >= _LEAST_STRAIGHT * len(groups)
+
+    return Extent(low, high, is_straight(low, -1), is_straight(high, 1))
 
 
 def _code_of(patterns: Sequence[Pattern], axis: int) -> Gray:
@@ -163,32 +162,62 @@ def _numbers(patterns: Sequence[Pattern], axis: int, projector_px: Floats) -> Fl
     return np.floor((projector_px[:, axis] + 0.5 + code.offset) / code.cell)
 
 
-def _fit(candidate: Candidate, size: Size, extents: Sequence[Extent], given: Given) -> PossibleSize | None:
-    """Whether the codes are possible on a projector of this size."""
-    patterns, reached = candidate.for_size(size), [0, 0]
-    if len(patterns) != len(candidate.files):
-        return None
-    for axis, (length, seen) in enumerate(zip(size, extents, strict=True)):
-        code, provisional = _code_of(patterns, axis), _code_of(candidate.patterns, axis)
-        first, last = code.offset // code.cell, (length - 1 + code.offset) // code.cell
+def _fits(candidate: Candidate, sizes: Sequence[Size], extents: Sequence[Extent], given: Given) -> list[SizeFit]:
+    """The sizes whose codes are possible, with cells of each length.
+
+    Codes may have as many bits along the shorter axis as along the longer one. Those that the order counts from the rim
+    are taken to be counted from the middle only if the picture is seen to begin or end there in both directions.
+    """
+    fits = dict[tuple[Size, tuple[Pattern, ...]], SizeFit]()
+    for size, cell in product(sizes, given.cells):
+        for patterns in candidate.on(size, cell):
+            for shown, straight in ((patterns, False), (_centred(patterns, size), True)):
+                fit = _fit(size, cell, shown, extents, given, straight=straight)
+                if fit and (all(fit.reached) or not straight):
+                    fits.setdefault((size, shown), fit)
+    return [*fits.values()]
+
+
+def _fit(
+    size: Size,
+    cell: int,
+    patterns: tuple[Pattern, ...],
+    extents: Sequence[Extent],
+    given: Given,
+    *,
+    straight: bool = False,
+) -> SizeFit | None:
+    reached, is_contradicted = list[int](), False
+    for axis, (length, extent) in enumerate(zip(size, extents, strict=True)):
+        code = _code_of(patterns, axis)
+        first, last = int(code.offset // code.cell), int((length - 1 + code.offset) // code.cell)
         right_count = given.codes is None or last - first + 1 == given.codes[axis]
-        if code.bits != provisional.bits or not seen.allows(first, last) or not right_count:
+        if last >= 1 << code.bits or not extent.allows(first, last) or not right_count:
             return None
-        reached[axis] = seen.reaches(first, last)
-    return PossibleSize(size, patterns, (reached[0], reached[1]))
+        is_contradicted |= extent.contradicts(first, last)
+        reached.append(extent.reaches(first, last, straight=straight))
+    return SizeFit(size, patterns, cell, (reached[0], reached[1]), is_contradicted, not straight, size in _OFTEN)
 
 
-def _shows_any_scale(candidate: Candidate) -> bool:
+def _centred(patterns: Sequence[Pattern], size: Size) -> tuple[Pattern, ...]:
+    """The same patterns with all codes counted from the middle of the picture."""
+    lengths = dict(zip("xy", size, strict=True))
+    return tuple(
+        replace(p, offset=((int(p.cell) << p.bits) - lengths[p.axis]) // 2) if isinstance(p, Gray) else p
+        for p in patterns
+    )
+
+
+def _has_any_scale(candidate: Candidate) -> bool:
     """Whether a projector of twice the size would be shown as many patterns, with cells of twice the length."""
     width, height = candidate.projector_size
-    return len(candidate.for_size((2 * width, 2 * height))) == len(candidate.files)
+    return len(candidate.for_size((2 * width, 2 * height), 1)) == len(candidate.files)
 
 
-def _measured(candidate: Candidate, extents: Sequence[Extent]) -> Size:
+def _measured(candidate: Candidate, extents: Sequence[Extent], cell: int) -> Size:
     """The size of a projector that ends where the codes do, be they counted from one side or from the middle."""
-    codes = [_code_of(candidate.patterns, axis) for axis in (0, 1)]
-    width, height = ((seen.high + 1) * code.cell for seen, code in zip(extents, codes, strict=True))
-    if not any(_code_of(candidate.for_size((width, height)), axis).offset for axis in (0, 1)):
+    width, height = ((extent.high + 1) * cell for extent in extents)
+    if not any(_code_of(candidate.for_size((width, height), cell), axis).offset for axis in (0, 1)):
         return width, height
-    x, y = (code.cell << code.bits for code in codes)
+    x, y = (cell << _code_of(candidate.patterns, axis).bits for axis in (0, 1))
     return 2 * width - x, 2 * height - y

@@ -1,58 +1,72 @@
 """Whose order of frames is it? Every order that is long enough is tried on the images."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from calib.geometry import Matches
 from calib.refusal import RefusalError
 from scanner.decoding import Decoder, MaskReason
 from scanner.errors import InputError
 from scanner.importing.continuity import broken_order
-from scanner.importing.frame_files import FrameFiles
-from scanner.importing.incomplete import MISSING_ENDS, without_duplicates
+from scanner.importing.frame_files import FrameFiles, read_frame
+from scanner.importing.incomplete import MISSING_ENDS, without_duplicates, without_ends
 from scanner.importing.layout import MOST_FRAMES, Candidate, FrameLayout, Given, Size, candidates
-from scanner.importing.plausibility import best_fitting, objection, share_on_epipolar_lines
-from scanner.importing.projector_size import extents_of, possible_sizes
+from scanner.importing.plausibility import (
+    Objection,
+    OrderStage,
+    best_fitting,
+    faint_bits,
+    objection,
+    share_on_epipolar_lines,
+    unresolved_bits,
+)
+from scanner.importing.projector_size import extents_of, find_sizes, is_clear, show_size
 from scanner.importing.samples import LevelSamples, take_lines
-from scanner.io import read_image
 from scanner.patterns import Axis, Gray, Pattern, Phase
 from scanner.ui import Progress
 
 # Coordinates from few steps may err by more than the limit; in a wrong order, a few hundredths fit by chance.
 _LEAST_ON_LINES = 0.3
-# Of the pixels with a code; stray light decodes to some codes that a projector does not have.
-_MOST_BEYOND = 0.1
-_OPTIONS = {"projector_size": "--projector", "cell": "--cell"}
+_FEWEST_MATCHES = 8  # that determine a fundamental matrix
+# Share of the lit pixels whose coordinates are beyond a projector of the right size, at blurred rims.
+_MOST_OUTSIDE = 0.1
+_MOST_FAINT = 3  # bits that may be left out because of their contrast
+_CLEAR = (
+    OrderStage.MIRRORED,
+    OrderStage.OPTIONS,
+    OrderStage.SIZE,
+)  # reasons that end the search: the order itself fits
+_OPTIONS = {"projector_size": "--projector", "cell": "--cell", "periods": "--periods"}
 
 
 @dataclass(frozen=True)
 class Recognised:
-    """A layout that fits: the pattern that each of the `files` shows, on a projector of (width, height). `how`: the
-    reason.
-
-    `likely`: whether such projectors are sold, and how many ends of their codes were seen.
-    """
+    """A layout that fits."""
 
     layout: FrameLayout
     files: tuple[Path, ...]
     patterns: tuple[Pattern, ...]
+    """The pattern that each of the files shows."""
     projector_size: Size
+    """(width, height)"""
     how: str
-    likely: tuple[bool, int] = (True, 0)
+    """Why it fits."""
+    likely: tuple[bool, int, bool] = (True, 0, True)
+    """Whether such projectors are usual, how many ends of their codes were seen, whether the order counts them so."""
 
 
 @dataclass(frozen=True)
 class Rejected:
-    """A layout that does not fit, and the reason; `lacking`: it may fit with further options; `certain`: it would."""
+    """A layout that does not fit."""
 
     layout: FrameLayout
     why: str
-    lacking: bool = False
-    certain: bool = False
+    stage: OrderStage = OrderStage.COUNT
+    """How far the closest variant got."""
+    reached: float = 0.0
+    """The share of the next stage that it passed."""
 
 
 def recognise(
@@ -61,180 +75,266 @@ def recognise(
     given: Given,
     look: Callable[[], LevelSamples],
     progress: Progress,
+    flip: Axis | None = None,
 ) -> tuple[list[Recognised], list[Rejected]]:
-    """Which layouts fit the frames, and why the others do not. Raises InputError for a file beside the frames.
+    """Which layouts fit the frames, and why the others do not, the closest first.
 
-    `look` reads the frames, if any layout has this number. With a single layout and a given projector, frames that look
-    right need not decode. If no layout fits, white and black may be missing, or a frame may be duplicated.
+    Raises InputError for a file beside the frames. `look` reads the frames, which are mirrored back along the axis
+    `flip`, if any layout has this number. With a single layout and a given projector, frames that look right need not
+    decode. If no layout fits, white and black may be missing, or there are frames too many.
     """
-    judge = _Judge(progress, lenient=len(layouts) == 1)
-    usual = [layout for layout in layouts if not layout.last or len(layouts) == 1]
-    found, rejected = _tried(files, usual, given, look, judge)
-    if found or any(each.lacking for each in rejected):
-        return found, rejected
-    for less_usual in _less_usual(files, layouts, look):
-        found, others = _tried(less_usual.files, less_usual.layouts, given, less_usual.look, judge, less_usual.missing)
-        if found:
-            return found, [each for each in rejected if each.layout not in {one.layout for one in found}]
-        # Keep the reason against the last resort, and the layouts that only lack options.
-        relevant = [each for each in others if each.lacking or each.layout.last]
-        rejected = [each for each in rejected if each.layout not in {one.layout for one in relevant}] + relevant
-    return [], rejected
+    judge = _Judge(progress, flip, lenient=len(layouts) == 1)
+    recognised, rejected = list[Recognised](), dict[str, Rejected]()
+    for attempt in _attempts(files, layouts, look):
+        recognised, reasons = _tried(attempt, given, judge)
+        nearest = max((reason.stage for reason in rejected.values()), default=OrderStage.COUNT)
+        for reason in reasons:
+            before = rejected.get(reason.layout.name)
+            # How far they get with other frames than there are says less than why these do not fit.
+            counts = not attempt.is_altered or nearest < reason.stage >= OrderStage.MIRRORED
+            if before is None or (counts and _distance(reason) > _distance(before)):
+                rejected[reason.layout.name] = reason
+        # One that fits only because a frame is thought to be missing may do so by chance.
+        is_clear_reason = not attempt.is_altered and any(reason.stage in _CLEAR for reason in reasons)
+        if recognised or is_clear_reason:
+            names = {choice.layout.name for choice in recognised}
+            rejected = {name: reason for name, reason in rejected.items() if name not in names}
+            break
+    return recognised, sorted(rejected.values(), key=_distance, reverse=True)
+
+
+def _distance(reason: Rejected | Objection) -> tuple[OrderStage, float]:
+    return reason.stage, reason.reached
 
 
 @dataclass(frozen=True)
 class _Attempt:
-    """What to try next: of some `files`, whose samples are had by `look`, without the patterns that are `missing`."""
+    """What to try."""
 
     files: FrameFiles
     layouts: Sequence[FrameLayout]
     look: Callable[[], LevelSamples]
+    """Reads the samples of the files."""
     missing: tuple[Pattern, ...] = ()
+    """The patterns that were not taken."""
+    is_altered: bool = True
+    """Whether patterns are missing, or frames are left out."""
 
 
-def _less_usual(
+def _attempts(
     files: FrameFiles, layouts: Sequence[FrameLayout], look: Callable[[], LevelSamples]
 ) -> Iterator[_Attempt]:
-    usual, last = ([layout for layout in layouts if layout.last == is_last] for is_last in (False, True))
+    """Yield what to try, the usual first."""
+    is_only = len(layouts) == 1
+    usual, last = ([layout for layout in layouts if layout.last == is_last or is_only] for is_last in (False, True))
+    yield _Attempt(files, usual, look, is_altered=False)
     for missing in MISSING_ENDS:
         yield _Attempt(files, usual, look, missing)
     if len(files.numbered) > MOST_FRAMES:
         return
     for fewer, samples in without_duplicates(files, look()):
-        seen = partial(_unchanged, samples)
-        yield from (_Attempt(fewer, usual, seen), _Attempt(fewer, last, seen))
-    yield _Attempt(files, last, look)
+        yield from (_Attempt(fewer, some, partial(_unchanged, samples)) for some in (usual, last))
+    yield _Attempt(files, last, look, is_altered=False)
+    for fewer, samples in without_ends(files, look()):
+        yield from (_Attempt(fewer, some, partial(_unchanged, samples)) for some in (usual, last))
 
 
 def _unchanged(samples: LevelSamples) -> LevelSamples:
     return samples
 
 
-def _tried(
-    files: FrameFiles,
-    layouts: Sequence[FrameLayout],
-    given: Given,
-    look: Callable[[], LevelSamples],
-    judge: "_Judge",
-    missing: tuple[Pattern, ...] = (),
-) -> tuple[list[Recognised], list[Rejected]]:
-    """Which of the layouts the frames have, if those of the patterns that are `missing` were not taken."""
-    found, rejected = list[Recognised](), list[Rejected]()
-    for layout in layouts:
-        known = given.or_else(layout.settings(files.folder))
-        possible = list(candidates(layout, files, known, missing))
-        objections = [objection(look(), candidate.patterns) for candidate in possible]
+def _tried(attempt: _Attempt, given: Given, judge: "_Judge") -> tuple[list[Recognised], list[Rejected]]:
+    """Which of the layouts the frames have."""
+    recognised, rejected = list[Recognised](), list[Rejected]()
+    for layout in attempt.layouts:
+        known = given.or_else(layout.settings(attempt.files.folder))
+        possible = list(candidates(layout, attempt.files, known, attempt.missing))
+        objections = [objection(attempt.look(), candidate.patterns) for candidate in possible]
         fitting = [candidate for candidate, against in zip(possible, objections, strict=True) if against is None]
+        against = [(objected, candidate) for objected, candidate in zip(objections, possible, strict=True) if objected]
         if fitting:
-            best = best_fitting(look(), [candidate.patterns for candidate in fitting])
+            best = best_fitting(attempt.look(), [candidate.patterns for candidate in fitting])
             fitting = [fitting[number] for number in best]
-        results = [judge.judge(layout, candidate, known, look().camera_size) for candidate in fitting]
-        good = [recognised for result in results if not isinstance(result, Rejected) for recognised in result]
+        results = [result for candidate in fitting for result in judge.judge(layout, candidate, known, attempt.look())]
+        good = [result for result in results if isinstance(result, Recognised)]
         bad = [result for result in results if isinstance(result, Rejected)]
         if good:
-            found += good
+            recognised += good
         elif bad:
-            rejected.append(max(bad, key=lambda each: (each.certain, each.lacking)))
+            rejected.append(max(bad, key=_distance))
         elif possible:
             # The variant whose objection comes last is the closest.
-            nearest = max((against for against in objections if against), key=lambda against: against.stage)
-            rejected.append(Rejected(layout, nearest.words))
+            closest = max(against, key=lambda pair: _distance(pair[0]))
+            rejected.append(judge.reject(layout, *closest))
         else:
-            size = "" if known.projector_size is None else f" for a projector of {_shown(known.projector_size)}"
-            rejected.append(Rejected(layout, f"it has no sequence of {len(files.numbered)} frames{size}"))
-    return found, rejected
+            size = "" if known.projector_size is None else f" for a projector of {show_size(known.projector_size)}"
+            rejected.append(Rejected(layout, f"it has no sequence of {len(attempt.files.numbered)} frames{size}"))
+    return recognised, rejected
 
 
 class _Judge:
     """Decodes all frames in the orders that look right; those that several layouts share only once."""
 
-    def __init__(self, progress: Progress, *, lenient: bool) -> None:
+    def __init__(self, progress: Progress, flip: Axis | None, *, lenient: bool) -> None:
         self._progress = progress
+        self._flip = flip
         self._lenient = lenient
-        self._found: dict[tuple[tuple[Pattern, ...], Size], tuple[Matches, float] | str] = {}
+        self._decoded: dict[tuple[tuple[Path, ...], tuple[Pattern, ...], Size, Axis | None], Matches | str] = {}
         self._lines: dict[tuple[tuple[Path, ...], Axis], LevelSamples] = {}
 
     def judge(
-        self, layout: FrameLayout, candidate: Candidate, given: Given, camera_size: Size
-    ) -> list[Recognised] | Rejected:
-        """Whether the frames decode in this order, and the projectors that may have shown them."""
+        self, layout: FrameLayout, candidate: Candidate, given: Given, samples: LevelSamples
+    ) -> Sequence[Recognised | Rejected]:
+        """Whether the frames decode in this order, and the projectors that they fit."""
         if layout.lacks(given):
-            options = " and ".join(_OPTIONS[name] for name in layout.needs)
-            return Rejected(
-                layout, f"is possible, but its frames do not determine the projector: give {options}", lacking=True
-            )
+            lacking = [_OPTIONS[name] for name in layout.needs if getattr(given, name) is None]
+            why = f"is possible, but its frames do not determine the projector: give {' and '.join(lacking)}"
+            return [Rejected(layout, why, OrderStage.OPTIONS)]
         axes = {p.axis for p in candidate.patterns if isinstance(p, Gray | Phase)}
         if len(axes) < 2:
-            return self._by_one_axis(layout, candidate, *axes)
-        decoded = self._decoded(candidate)
+            return [self._by_one_axis(layout, candidate, given, *axes)]
+        decoded, candidate, note = self._decode_resolved(candidate, samples)
         if isinstance(decoded, str):
-            if self._lenient and candidate.size_known:
-                return [_recognised(layout, candidate, candidate.projector_size, f"not checked: {decoded}")]
-            all_the_same = f"--from {layout.name} and --projector accept it nevertheless"
-            return Rejected(layout, f"looks right, but {decoded}; {all_the_same}", lacking=True)
-        matches, beyond = decoded
-        share = share_on_epipolar_lines(matches.camera_px, matches.projector_px)
-        how = f"{len(matches):,} matches, {share:.0%} of them on the lines of one epipolar geometry"
-        if candidate.size_known and beyond > _MOST_BEYOND:
-            size = _shown(candidate.projector_size)
-            why = f"decodes, but {beyond:.0%} of the pixels see codes that a projector of {size} does not have: the"
-            return Rejected(layout, f"{why} size is another, and without it what fits is listed", lacking=True)
+            return [self._undecoded(layout, candidate, given, decoded)]
+        share = share_on_epipolar_lines(decoded.camera_px, decoded.projector_px)
+        how = f"{len(decoded):,} matches, {share:.0%} of them on the lines of one epipolar geometry{note}"
         if candidate.size_known:
-            return [_recognised(layout, candidate, candidate.projector_size, how)]
-        extents = x, y = extents_of(candidate, matches, camera_size)
-        seen = f"codes from {x.low} to {x.high} in x, from {y.low} to {y.high} in y"
-        sizes = possible_sizes(candidate, extents, given)
-        if not sizes:
-            why = f"decodes, but the projector's size is not clear, none that is usual fits ({seen}): give --projector"
-            return Rejected(layout, why, lacking=True)
-        likely = sizes[0].rank > 0, sizes[0].total
-        reasons = [f"; {fit.reason}" if len(sizes) > 1 else "" for fit in sizes]
+            return [Recognised(layout, candidate.files, candidate.patterns, candidate.projector_size, how)]
+        return self._sized(layout, candidate, given if not note else replace(given, codes=None), how, decoded, samples)
+
+    def _sized(
+        self, layout: FrameLayout, candidate: Candidate, given: Given, how: str, matches: Matches, samples: LevelSamples
+    ) -> Sequence[Recognised | Rejected]:
+        """The projectors whose codes are those of the matches: one, or all among which to choose."""
+        extents = extents_of(candidate, matches, samples.camera_size)
+        fits = find_sizes(candidate, extents, given)
+        codes = (
+            f"codes from {extents[0].low} to {extents[0].high} in x, from {extents[1].low} to {extents[1].high} in y"
+        )
+        if given.projector_size and not (self._lenient and fits):
+            usual = find_sizes(candidate, extents, replace(given, projector_size=None))
+            if not fits or (fits[0].is_contradicted and usual and usual[0].total > fits[0].total):
+                possible = ", or ".join(map(str, usual)) or "none that is usual"
+                why = f"decodes, but its {codes} are not those of a projector of {show_size(given.projector_size)}"
+                return [Rejected(layout, f"{why}; they fit {possible}", OrderStage.SIZE)]
+        if not fits:
+            why = f"decodes, but its {codes} fit no usual projector: give --projector"
+            return [Rejected(layout, why, OrderStage.SIZE)]
+        if len(fits) == 1 and not is_clear(fits, given):
+            why = f"decodes, and its {codes} fit {fits[0]}; if it is that, give --projector"
+            return [Rejected(layout, why, OrderStage.SIZE)]
+        chosen = fits[:1] if is_clear(fits, given) else fits
+        also = f"; as well possible, --projector: {', '.join(map(str, fits[1:]))}" if len(chosen) < len(fits) else ""
         return [
-            Recognised(layout, candidate.files, fit.patterns, fit.size, f"{how}; {seen}{reason}", likely)
-            for fit, reason in zip(sizes, reasons, strict=True)
+            Recognised(
+                layout,
+                candidate.files,
+                fit.patterns,
+                fit.size,
+                f"{how}; {codes}{'' if fit.is_own else ', counted from the middle'}{also}"
+                + (f"; {fit.reason}" if len(chosen) > 1 else ""),
+                (fit.is_usual, fit.total, fit.is_own),
+            )
+            for fit in chosen
         ]
 
-    def _by_one_axis(self, layout: FrameLayout, candidate: Candidate, axis: Axis) -> list[Recognised] | Rejected:
+    def _undecoded(self, layout: FrameLayout, candidate: Candidate, given: Given, why: str) -> Recognised | Rejected:
+        """Accept what does not decode only if it was asked for."""
+        patterns = _on_given(candidate, given) if self._lenient else None
+        if patterns and given.projector_size:
+            return Recognised(layout, candidate.files, patterns, given.projector_size, f"not checked: {why}")
+        all_the_same = f"--from {layout.name} and --projector accept it nevertheless"
+        return Rejected(layout, f"looks right, but {why}; {all_the_same}", OrderStage.DECODING)
+
+    def reject(self, layout: FrameLayout, objection: Objection, candidate: Candidate) -> Rejected:
+        """The objection to a candidate; one that looks mirrored is only so if it decodes once it is mirrored back."""
+        mirrored = None if objection.flip is None else self._decode(candidate, objection.flip)
+        if isinstance(mirrored, str):
+            return Rejected(layout, f"looks mirrored, but mirrored back {mirrored}", OrderStage.GEOMETRY, 1.0)
+        return Rejected(layout, objection.words, objection.stage, objection.reached)
+
+    def _by_one_axis(
+        self, layout: FrameLayout, candidate: Candidate, given: Given, axis: Axis
+    ) -> Recognised | Rejected:
         if (candidate.files, axis) not in self._lines:
-            self._lines[candidate.files, axis] = take_lines(candidate.files, axis)
+            self._lines[candidate.files, axis] = take_lines(candidate.files, axis, self._flip)
         broken = broken_order(self._lines[candidate.files, axis], candidate.patterns, axis)
         if broken:
-            return Rejected(layout, broken)
-        if not candidate.size_known:
+            return Rejected(layout, broken, OrderStage.DECODING)
+        if given.projector_size is None:
             why = f"looks right along {axis}, but one axis does not determine the projector's size: give --projector"
-            return Rejected(layout, why, lacking=True, certain=True)
-        coded = any(isinstance(pattern, Gray) for pattern in candidate.patterns)
+            return Rejected(layout, why, OrderStage.SIZE)
+        patterns = _on_given(candidate, given)
+        if patterns is None:
+            return Rejected(
+                layout, f"its codes are not those of {show_size(given.projector_size)}", OrderStage.NEIGHBOURS
+            )
+        coded = any(isinstance(pattern, Gray) for pattern in patterns)
         how = "neighbouring pixels are in neighbouring cells" if coded else "no second axis to check it by"
-        return [_recognised(layout, candidate, candidate.projector_size, f"one axis, {how}")]
+        return Recognised(layout, candidate.files, patterns, given.projector_size, f"one axis, {how}")
 
-    def _decoded(self, candidate: Candidate) -> tuple[Matches, float] | str:
-        """The matches, and the share of pixels with codes beyond the projector's; or the reason why there are none."""
-        key = candidate.patterns, candidate.projector_size
-        if key not in self._found:
-            self._found[key] = self._decode(candidate)
-        return self._found[key]
+    def _decode_resolved(self, candidate: Candidate, samples: LevelSamples) -> tuple[Matches | str, Candidate, str]:
+        """The matches, or the reason why there are none, without the finest bits that the camera does not resolve.
 
-    def _decode(self, candidate: Candidate) -> tuple[Matches, float] | str:
+        Bits of little contrast are left out if the others decode only without them. Returns the candidate that was
+        decoded, and what was left out of it.
+        """
+        unresolved = unresolved_bits(samples, candidate.patterns)
+        has_fringes = any(isinstance(pattern, Phase) for pattern in candidate.patterns)
+        faint = {} if has_fringes else faint_bits(samples, candidate.patterns)
+        first: Matches | str | None = None
+        for count in range(_MOST_FAINT + 1):
+            counts = {axis: max(lost, min(count, faint.get(axis, 0))) for axis, lost in unresolved.items()}
+            fewer = candidate.without_finest(counts)
+            decoded = self._decode(fewer)
+            if not isinstance(decoded, str):
+                return decoded, fewer, _left_out(candidate, counts)
+            first = first or decoded
+            if count >= max(faint.values(), default=0):
+                break
+        return first or "", candidate, ""
+
+    def _decode(self, candidate: Candidate, flip: Axis | None = None) -> Matches | str:
+        key = candidate.files, candidate.patterns, candidate.projector_size, flip
+        if key not in self._decoded:
+            self._decoded[key] = self._decode_anew(candidate, flip or self._flip)
+        return self._decoded[key]
+
+    def _decode_anew(self, candidate: Candidate, flip: Axis | None) -> Matches | str:
         try:
             decoder = Decoder(candidate.patterns, candidate.projector_size)
             for path in self._progress.track(candidate.files, len(candidate.files), "Decoding"):
-                decoder.add(read_image(path))
+                decoder.add(read_frame(path, flip))
             decoding = decoder.finish()
         except (InputError, RefusalError) as error:
             return f"does not decode: {error}"
         matches = decoding.matches
-        if not len(matches):
-            return "decodes to no matches"
+        if len(matches) < _FEWEST_MATCHES:
+            return f"decodes to {len(matches) or 'no'} matches"
         share = share_on_epipolar_lines(matches.camera_px, matches.projector_px)
         if share < _LEAST_ON_LINES:
             return f"decodes, but only {share:.0%} of the matches obey one epipolar geometry"
-        beyond = np.count_nonzero(decoding.reasons == MaskReason.OUTSIDE)
-        return matches, beyond / (beyond + np.count_nonzero(decoding.reasons == MaskReason.KEPT))
+        outside, kept = (int((decoding.reasons == reason).sum()) for reason in (MaskReason.OUTSIDE, MaskReason.KEPT))
+        if outside > _MOST_OUTSIDE * (outside + kept):
+            size = show_size(candidate.projector_size)
+            return f"decodes, but {outside / (outside + kept):.0%} of the pixels are outside a projector of {size}"
+        return matches
 
 
-def _recognised(layout: FrameLayout, candidate: Candidate, size: Size, how: str) -> Recognised:
-    return Recognised(layout, candidate.files, candidate.for_size(size), size, how)
+def _on_given(candidate: Candidate, given: Given) -> tuple[Pattern, ...] | None:
+    """The patterns of a candidate on the given projector; None if it has other codes, or is not given."""
+    if candidate.size_known or given.projector_size is None:
+        return candidate.patterns if candidate.size_known else None
+    size = given.projector_size
+    return next((patterns for cell in given.cells for patterns in candidate.on(size, cell)), None)
 
 
-def _shown(size: Size) -> str:
-    return f"{size[0]} × {size[1]}"
+def _left_out(candidate: Candidate, counts: Mapping[Axis, int]) -> str:
+    """What was left out, in words: the numbers of the finest bits."""
+    bits = {p.axis: p.bits for p in candidate.patterns if isinstance(p, Gray)}
+    parts = [
+        f"bit {', '.join(map(str, range(bits[axis] - count, bits[axis])))} of {axis}"
+        for axis, count in counts.items()
+        if count
+    ]
+    return f", without {' and '.join(parts)}, whose stripes are too fine for the lenses" if parts else ""

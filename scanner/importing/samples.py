@@ -10,8 +10,8 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Image, Ints
 from scanner.errors import InputError
+from scanner.importing.frame_files import read_frame
 from scanner.importing.layout import Size
-from scanner.io import read_image
 from scanner.patterns import Axis
 
 _ACROSS = 160
@@ -44,9 +44,12 @@ class LevelSamples:
         return self.swing > max(_LIT * float(np.percentile(self.swing, _WELL_LIT)), 1.0)
 
 
-def take_samples(files: Sequence[Path]) -> LevelSamples:
-    """Read all frames. Raises InputError if one is no image, or of another size or kind than the first."""
-    first = read_image(files[0])
+def take_samples(files: Sequence[Path], flip: Axis | None = None) -> LevelSamples:
+    """Read all frames, mirrored back along an axis.
+
+    Raises InputError if one is no image, or of another size or kind than the first.
+    """
+    first = read_frame(files[0], flip)
     height, width = first.shape[:2]
     # Random, because a grid would beat with the stripes.
     rng = np.random.default_rng(_SEED)
@@ -55,26 +58,26 @@ def take_samples(files: Sequence[Path]) -> LevelSamples:
         np.arange(0, size - step + 1, step) + rng.integers(0, step, (size - step) // step + 1)
         for size in (height, width)
     )
-    return _sampled(files, first, rows, columns)
+    return _sampled(files, flip, first, rows, columns)
 
 
-def take_lines(files: Sequence[Path], axis: Axis) -> LevelSamples:
+def take_lines(files: Sequence[Path], axis: Axis, flip: Axis | None) -> LevelSamples:
     """Some rows of every frame with all of their pixels, or some columns: along which the coordinate of an axis grows.
 
-    Raises InputError as `take_samples`.
+    Mirrored back as in `take_samples`, which also says what it raises.
     """
-    first = read_image(files[0])
+    first = read_frame(files[0], flip)
     height, width = first.shape[:2]
     across = np.linspace(0, (height if axis == "x" else width) - 1, _LINES + 2).astype(np.int64)[1:-1]
     rows, columns = (across, np.arange(width)) if axis == "x" else (np.arange(height), across)
-    return _sampled(files, first, rows, columns)
+    return _sampled(files, flip, first, rows, columns)
 
 
-def _sampled(files: Sequence[Path], first: Image, rows: Ints, columns: Ints) -> LevelSamples:
+def _sampled(files: Sequence[Path], flip: Axis | None, first: Image, rows: Ints, columns: Ints) -> LevelSamples:
     height, width = first.shape[:2]
     levels = []
     for path in files:
-        image = read_image(path)
+        image = read_frame(path, flip)
         if (image.shape, image.dtype) != (first.shape, first.dtype):
             raise InputError(
                 f"{path}: expected an image of the kind of {files[0].name}, {_kind(first)}, found {_kind(image)}"

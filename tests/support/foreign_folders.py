@@ -8,10 +8,10 @@ import numpy as np
 
 from calib.numerics import Image
 from scanner.commands import main
-from scanner.patterns import Axis, Black, Pattern, Phase, White
+from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
 from tests.support.foreign_captures import ENDS, bits, deep, in_colour, named, steps
 
-# A small projector that is sold, and of which no other has two or four times the pixels: its size is recognised.
+# A projector that is often met, and of which none shows the same in longer cells, so that its size is recognised.
 CAMERA, PROJECTOR = (459, 384), (640, 480)
 AXES: tuple[tuple[Axis, int], ...] = (("x", 640), ("y", 480))
 PAIRS = [*bits("x", 10), *bits("y", 9)]
@@ -51,6 +51,16 @@ SHIFTED = [  # a code of 20 cells, and again half a cell further
         *bits(axis, 5, length // 20, length // 40, inverses=False),
     )
 ]
+UNEVEN = [  # 32 periods: half of one is 10 px along x, 7.5 px along y
+    p
+    for axis, length in AXES
+    for p in (*steps(axis, length / 32, QUARTERS), *bits(axis, 6, length / 64, inverses=False))
+]
+SQUARE = [  # periods of 40 px along both axes: 16 and 12
+    p for axis, _ in AXES[::-1] for p in (*steps(axis, 40.0, QUARTERS), *bits(axis, 5, 20, inverses=False))
+]
+TURNS = [bit for pair in zip(bits("y", 9, inverses=False), bits("x", 10, inverses=False), strict=False) for bit in pair]
+FROM_THE_MIDDLE = [*bits("x", 10, 1, 192), *bits("y", 9, 1, 16)]
 KNOWN = ("--projector", "640x480")
 
 
@@ -58,6 +68,11 @@ def sltk() -> Iterator[str]:
     for number in range(40):
         axis, place, inverted = number // 20, 9 - number % 20 // 2, number % 2
         yield f"{1481302049.5 + 2 * number}_[{axis:02d}-{place:02d}-{inverted:02d}_{number:02d}]_img.jpg"
+
+
+def evenly_exposed(image: Image) -> Image:
+    """A frame of a camera that exposes each for the same mean."""
+    return np.clip(np.rint(image * np.clip(40 / image.mean(), 0.4, 3.5)), 0, 255).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -81,6 +96,9 @@ FOREIGN = {
     "opencv, of two pixels": Foreign(
         "opencv", [*bits("x", 9, 2), *bits("y", 8, 2), *ENDS], named("{}.png"), ("--cell", "2")
     ),
+    "opencv, exposed automatically": Foreign("opencv", [*PAIRS, *ENDS], named("f{}.png"), change=evenly_exposed),
+    "gray, y and x by turns": Foreign("gray", [*TURNS, Gray("x", 9, 10), *ENDS], named("{:03d}.jpg")),
+    "gray, from the middle": Foreign("3dunderworld", [*ENDS, *FROM_THE_MIDDLE], named("{}.png")),
     "procam-calibration": Foreign("procam-calibration", [*PAIRS, *ENDS], named("graycode_{:02d}.png")),
     "phase-shifting": Foreign(
         "phase-shifting",
@@ -103,6 +121,10 @@ FOREIGN = {
         "heterodyne", FOUR_PERIODS, named("{}.bmp"), (*KNOWN, "--periods", "25,28,31,32")
     ),
     "gray-fringes, complementary": Foreign("gray-fringes", COMPLEMENTARY, named("{}.png"), (*KNOWN, "--periods", "20")),
+    "gray-fringes, uneven": Foreign("gray-fringes", UNEVEN, named("{}.bmp"), (*KNOWN, "--periods", "32")),
+    "gray-fringes, square": Foreign(
+        "gray-fringes", SQUARE, named("{}.bmp"), (*KNOWN, "--periods", "16", "--order", "2")
+    ),
     "gray-fringes, shifted": Foreign("gray-fringes", SHIFTED, named("{}.png"), (*KNOWN, "--periods", "20")),
 }
 
