@@ -1,6 +1,7 @@
 """Errors of the application; the command line turns each into its exit code."""
 
 import errno
+import sys
 
 # Advice for an OSError of the disk, for any operation.
 DISK_TROUBLE = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO})
@@ -47,3 +48,11 @@ def cannot_write(where: object, error: OSError, what: str = "written") -> Storag
     if error.errno in DISK_TROUBLE or error.errno in _REMEDIES:
         return StorageError(f"{message}; {_REMEDIES.get(error.errno or 0, _FULL)}")
     return InputError(message)
+
+
+def is_of_memory(error: BaseException) -> bool:
+    """Whether there was not enough memory, which OpenCV has an error of its own for."""
+    cv2 = sys.modules.get("cv2")  # it is loaded if it has failed
+    return isinstance(error, MemoryError) or (
+        cv2 is not None and isinstance(error, cv2.error) and error.code == cv2.Error.StsNoMem
+    )

@@ -64,7 +64,9 @@ def rows(comparison: CalibrationComparison) -> list[tuple[str, ...]]:
 def _row(sheet: Sheet, unit: ShownUnit, *, known: bool) -> tuple[str, ...]:
     if np.isnan(sheet.length).all():
         return (unit.number(sheet.depth), *["–"] * 7)
-    px = (f"{_rms(sheet.px):.3f}", f"{np.nanmax(sheet.px):.3f}", f"{_rms(sheet.px_sigma):.3f}" if known else "–")
+    # A covariance may reach rigs whose projector has no pixel for any of the points.
+    px_sigma = f"{_rms(sheet.px_sigma):.3f}" if known and np.isfinite(sheet.px_sigma).any() else "–"
+    px = (f"{_rms(sheet.px):.3f}", f"{np.nanmax(sheet.px):.3f}", px_sigma)
     lengths = (unit.number(_rms(sheet.length)), unit.number(float(np.nanmax(sheet.length))))
     allowed = unit.number(_rms(sheet.length_sigma)) if known else "–"
     over = plain(_rms(sheet.length / sheet.length_sigma), 1) if known else "–"

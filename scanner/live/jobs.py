@@ -1,5 +1,6 @@
 """The job: look at a rig, show its clouds, and keep those that are wanted."""
 
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -17,7 +18,7 @@ from hw.open_rig import at_place, at_place_or_last, moves_by_itself, turns_by_it
 from hw.rig import Rig
 from scanner.checking import opened
 from scanner.configuration import Config
-from scanner.errors import InputError
+from scanner.errors import InputError, is_of_memory
 from scanner.live.cloud import LiveCloud, LiveDecoder
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import joining, keep_station
@@ -99,8 +100,8 @@ def scan_live(
     progress: Progress | None = None,
     watcher: Watcher,
 ) -> LiveResult:
-    """Scan until `wishes` or Ctrl-C end it. What was kept becomes `out`, also after a device failure; without any,
-    there is no folder.
+    """Scan until `wishes` or Ctrl-C end it. What was kept becomes `out`, also after a device failure or without memory
+    for more; without any, there is no folder.
 
     `depths`: range of the scene, in the calibration's unit. `progress` receives the progress instead of the `terminal`.
 
@@ -118,10 +119,13 @@ def scan_live(
             _look_on(config, folder, found, wishes, depths, progress or terminal, watcher)
             if not found.kept:
                 raise KeyboardInterrupt
-        except (KeyboardInterrupt, DeviceError, RefusalError) as error:
-            if not found.kept:
+        except (KeyboardInterrupt, Exception) as error:
+            expected = isinstance(error, KeyboardInterrupt | DeviceError | RefusalError)
+            if not found.kept or not (expected or is_of_memory(error)):
                 raise
             found.ended_by = error
+            # There may not have been enough memory to keep one more.
+            shutil.rmtree(_place(folder, found), ignore_errors=True)
     if found.ended_by is not None:
         found.ended_by.add_note(f"What was kept is in {out}.")
     return found
@@ -211,12 +215,17 @@ def _keeping(
     folder: Path, found: LiveResult, join: Callable[[Sequence[Decoded]], None], watcher: Watcher
 ) -> Callable[[LiveCloud, LiveSequence, Rig, str], None]:
     def work(cloud: LiveCloud, sequence: LiveSequence, rig: Rig, name: str) -> None:
-        place = folder / CAPTURES_FOLDER / str(len(found.kept) + 1)
+        place = _place(folder, found)
         found.kept.append(keep_station(cloud, sequence, found.calibration, rig.identity, place, name))
         watcher.tell(f"{name} is kept: {cloud_text(cloud, found.calibration.unit)}.")
         join(tuple(found.kept))
 
     return work
+
+
+def _place(folder: Path, found: LiveResult) -> Path:
+    """Where the next station is kept."""
+    return folder / CAPTURES_FOLDER / str(len(found.kept) + 1)
 
 
 def _moved(config: Config, steps: int) -> Config:

@@ -26,6 +26,7 @@ _FURTHER = tuple(f"{device}_{term}" for device in ("camera", "projector") for te
 
 _LOG_FOCALS = [index for index, column in enumerate(COLUMNS) if column.endswith("log_focal")]
 _MOST_LOG_SIGMA, _MOST_SIGMA = 5.0, 1e7  # a factor of 150 of a focal length; more pixels than any image has
+_ANGLES = [index for index, column in enumerate(COLUMNS) if column.startswith(("rotation", "translation"))]
 _ROUNDED, _NOTHING = 1e-6, 1e-9
 
 
@@ -153,7 +154,9 @@ def _along(path: Path, entry: _AlongEntry | None, to_file: Floats) -> Along:
             f"{path}: 'covariance.along' must have a row of {len(COLUMNS)} steps for each of its probabilities"
         )
     steps = np.array(entry.steps).reshape(-1, len(COLUMNS))
-    if len(steps) and (np.abs(steps).max() > _MOST_SIGMA or np.abs(steps[:, _LOG_FOCALS]).max() > _MOST_LOG_SIGMA):
+    most = np.full(len(COLUMNS), _MOST_SIGMA)
+    most[_LOG_FOCALS], most[_ANGLES] = _MOST_LOG_SIGMA, np.pi  # both in radians; the direction is of unit length
+    if np.any(np.abs(steps) > most):
         raise InputError(f"{path}: 'covariance.along.steps' are beyond any device")
     return Along(steps @ to_file, np.array(entry.probability))
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from scanner.errors import InputError, is_of_the_disk
+from scanner.errors import InputError, is_of_memory, is_of_the_disk
 from scanner.interruption import EXIT_INTERRUPTED
 from scanner.shown_text import harmless, shortened
 
@@ -36,7 +36,7 @@ def failure_of(error: BaseException) -> Failure:
             return _failure(EXIT_DEVICE, error)
         case InputError() | OSError():
             return _failure(EXIT_INPUT, error)
-        case MemoryError():
+        case _ if is_of_memory(error):
             return _failure(EXIT_INPUT, error, "there is not enough memory for an input of this size: ")
         case DeviceError():
             return _failure(EXIT_DEVICE, error)

@@ -153,3 +153,21 @@ def test_calibrations_that_cannot_be_compared_are_refused(
     write_calibration(folder / "other.yaml", replace(case.truth, camera=replace(case.truth.camera, width=640)))
     assert main(["compare", *arguments.split()]) == 2
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("column", [*range(5), *range(7, 13), *range(15, 22)])
+@pytest.mark.parametrize("value", [3.0, 1000.0])
+def test_steps_along_that_reach_far_are_compared_or_refused(
+    case: Before, folder: Path, column: int, value: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entries = covariance_entries(case.known.uncertainty)
+    steps = [0.0] * 22
+    steps[column] = value
+    entries["covariance"]["along"] = {"probability": [0.5, 0.5], "steps": [steps, [-step for step in steps]]}
+    write_calibration(folder / "far.yaml", case.known.calibration, entries)
+    code = main(["compare", str(folder / "boards"), str(folder / "far.yaml"), "--out", str(folder / "out")])
+    screen = capsys.readouterr()
+    assert code in (0, 2)
+    assert "nan" not in screen.out
+    if code == 2:
+        assert "beyond any device" in screen.err or "expected standard deviations that a rig can have" in screen.err

@@ -7,7 +7,9 @@ from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from itertools import cycle, islice
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -21,10 +23,11 @@ from scanner.live import jobs
 from scanner.live.cloud import LiveCloud, LiveDecoder, Round
 from scanner.live.first_look import FirstLook
 from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
+from scanner.live.joining import keep_station
 from scanner.live.rounds import best_sequence, take_rounds
 from scanner.live.watching import Account, Newest, watch
 from scanner.rooms import given_rig, read_stations
-from scanner.ui import Terminal
+from scanner.ui import Terminal, failure_of
 from tests.scanner.live.test_clouds import DEPTHS, begun
 from tests.support.live_bench import CAMERA, PROJECTOR, LiveBench, calibration
 
@@ -114,7 +117,16 @@ def test_clouds_are_kept_at_intervals(tmp_path: Path, bench: LiveBench) -> None:
     assert time.monotonic() - began_s > 0.4
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), DeviceError("the camera is gone")])
+def opencv_without_memory() -> Exception:
+    with pytest.raises(cv2.error) as caught:
+        cv2.resize(np.zeros((1, 1), np.uint8), (2**31 - 1, 2**31 - 1))
+    caught.value.code = cv2.Error.StsNoMem  # whatever the size was refused for
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), DeviceError("the camera is gone"), MemoryError(), opencv_without_memory()]
+)
 def test_kept_clouds_are_saved_however_the_loop_ends(
     tmp_path: Path, bench: LiveBench, monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
@@ -130,6 +142,24 @@ def test_kept_clouds_are_saved_however_the_loop_ends(
     assert found.ended_by is error
     assert "What was kept is in" in error.__notes__[0]
     assert len(list((tmp_path / "out" / "captures").iterdir())) == len(found.kept) >= 1
+
+
+def test_a_station_for_which_the_memory_was_not_enough_is_left_out(
+    tmp_path: Path, bench: LiveBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep = keep_station
+
+    def without_memory(*arguments: Any) -> object:
+        kept = keep(*arguments)
+        if kept.name == "Station 3":
+            raise MemoryError
+        return kept
+
+    monkeypatch.setattr(jobs, "keep_station", without_memory)
+    found = live(tmp_path, bench, Wishes(number=5), Acting())
+    assert isinstance(found.ended_by, MemoryError)
+    assert failure_of(found.ended_by).message.startswith("there is not enough memory for an input of this size")
+    assert sorted(path.name for path in (tmp_path / "out" / "captures").iterdir()) == ["1", "2"]
 
 
 def test_without_kept_clouds_no_folder_is_left(
