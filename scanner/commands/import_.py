@@ -57,12 +57,14 @@ def run(args: Namespace) -> None:
 
     recognised, rejected = recognise(files, layouts, given, look, terminal, args.flip)
     order = _number(args.order, "--order", "a number of the list", _MOST_ORDERS)
-    chosen = _only_one(files, recognised, rejected, order)
+    is_looked_at = recognised or any(reason.stage > OrderStage.COUNT for reason in rejected)
+    copies = _copies(files, look()) if is_looked_at else ""
+    chosen = _only_one(files, recognised, rejected, order, copies)
     if name is None:
         terminal.show(_table(every, chosen, recognised, rejected))
     unused = [*files.left_out, *(path for path in files.numbered if path not in chosen.files)]
     left_out = f"; left out: {', '.join(path.name for path in unused)}" if unused else ""
-    terminal.show(f"{files}: {chosen.layout.title}, {_shown(chosen.projector_size)} ({chosen.how}){left_out}")
+    terminal.show(f"{files}: {chosen.layout.title}, {_shown(chosen.projector_size)} ({chosen.how}){left_out}{copies}")
     if output is None:
         terminal.show("→ The same command with --out CAPTURE makes a capture of them.")
         return
@@ -81,14 +83,15 @@ def _named(every: Sequence[FrameLayout], name: str) -> FrameLayout:
 
 
 def _only_one(
-    files: FrameFiles, recognised: Sequence[Recognised], rejected: Sequence[Rejected], order: int | None
+    files: FrameFiles, recognised: Sequence[Recognised], rejected: Sequence[Rejected], order: int | None, copies: str
 ) -> Recognised:
-    """What fits, or of several orders the one of a number; layouts that mean the same are one.
+    """What fits, or of several orders the one of a number; layouts that mean the same are one. `copies`: said if none
+    fits.
 
     Raises InputError if none fits, or several that differ, or not as many.
     """
     if not recognised:
-        raise InputError(f"{files.folder}: {files}; they fit no known order of frames:{_reasons(rejected)}")
+        raise InputError(f"{files.folder}: {files}{copies}; they fit no known order of frames:{_reasons(rejected)}")
     likely = max((len(choice.files), choice.likely) for choice in recognised)
     choices = [choice for choice in recognised if (len(choice.files), choice.likely) == likely]
     differ = [*{(choice.patterns, choice.projector_size): choice for choice in choices[::-1]}.values()][::-1]
@@ -105,6 +108,15 @@ def _only_one(
     raise InputError(
         f"{files.folder}: {files}; {fit}, choose one with --order and its number, --from or --projector:{names}"
     )
+
+
+def _copies(files: FrameFiles, samples: LevelSamples) -> str:
+    """The frames that are the ones before them, and why, for a message."""
+    names = [path.name for number, path in enumerate(files.numbered) if number in samples.copies]
+    if not names:
+        return ""
+    same = "is the frame before it" if len(names) == 1 else "are the frames before them"
+    return f"; {', '.join(names)} {same}, bit for bit: the projector was late, or the camera gave a picture twice"
 
 
 def _reasons(rejected: Sequence[Rejected]) -> str:

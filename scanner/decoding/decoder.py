@@ -29,6 +29,7 @@ from scanner.decoding.frame_corrections import FrameCorrections, corrections_of,
 from scanner.decoding.fringes.single_fringe import shift_of, unchecked_finding
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.kept_matches import match_kept
+from scanner.decoding.late_frames import is_copy, late_places, patterns_without
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.motion import (
@@ -40,10 +41,11 @@ from scanner.decoding.motion import (
     refuse_unexplained_motion,
 )
 from scanner.decoding.motion.device_motion import between_periods_px
-from scanner.decoding.one_axis import one_axis, one_axis_finding
+from scanner.decoding.one_axis import OneAxis, one_axis, one_axis_finding
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import check_and_calibrate, observe
 from scanner.decoding.samples import Samples
+from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.stack import Stack
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
@@ -98,15 +100,17 @@ class Decoder:
         calibration: Calibration | None = None,
     ) -> None:
         once, repeats = exposures_of(patterns)
-        plan = plan_sequence(once, projector_size, calibrated=calibration is not None)
-        self._plan = replace(plan, repeats=repeats)
-        self._one_axis = one_axis(plan, calibration)
+        self._projector_size = projector_size
+        self._calibration = calibration
+        self._plan, self._one_axis = self._plan_of(once, repeats)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._count = 0
-        self._projector_size = projector_size
+        self._copies: list[int] = []
+        self._late: Finding | None = None
         self._stack: Stack | None = None
         self._samples: Samples | None = None
         self._texture: Image | None = None
+        self._has_white = False
 
     def add(self, image: Image, exposure_us: float | None = None) -> None:
         """Keep the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; the exposure is needed if there are several.
@@ -126,13 +130,16 @@ class Decoder:
         if self._stack is None:
             self._stack = Stack(len(self._plan.shown), image, codes_alone=not self._plan.fringes)
         kept = self._stack.keep(image)
+        if self._merger is None and self._count and is_copy(*self._stack.frames[:-3:-1]):
+            self._copies.append(self._count)
         if self._samples is None:
             self._samples = Samples.of((kept.shape[0], kept.shape[1]), neighbours=needs_neighbours(self._plan))
         self._samples.add(self._plan, self._count, kept)
         # The white frame, or without one the maximum of all frames.
-        if self._texture is None or self._plan.shown[self._count] == self._plan.white:
-            self._texture = image.copy()
-        elif self._plan.white is None:
+        is_white = self._plan.shown[self._count] == self._plan.white and self._count not in self._copies
+        if self._texture is None or is_white:
+            self._texture, self._has_white = image.copy(), is_white
+        elif not self._has_white:
             cv2.max(self._texture, image, dst=self._texture)
         self._count += 1
 
@@ -147,6 +154,10 @@ class Decoder:
             raise RuntimeError("this decoder has finished already")
         frames, samples, self._stack = self._stack.frames, self._samples, None
         is_merged = self._merger is not None
+        late = late_places(self._plan, frames, samples.scattered, self._copies)
+        if late:
+            frames = self._leave_out(frames, late)
+            samples = self._sampled(frames, FrameCorrections())
         corrections = FrameCorrections() if is_merged else corrections_of(self._plan, frames, samples.scattered)
         noise = None
         if corrections.response:
@@ -156,6 +167,21 @@ class Decoder:
         is_steady = is_merged or corrections.ghost is not None
         decoding = self._decode(frames, corrections, samples, is_steady=is_steady)
         return replace(decoding, noise=noise) if noise else decoding
+
+    def _plan_of(self, once: Sequence[Pattern], repeats: int) -> tuple[SequencePlan, OneAxis | None]:
+        plan = plan_sequence(once, self._projector_size, calibrated=self._calibration is not None)
+        return replace(plan, repeats=repeats), one_axis(plan, self._calibration)
+
+    def _leave_out(self, frames: Image, late: Sequence[int]) -> Image:
+        """Plan the sequence anew without its late frames, and return the others of the kept ones (N, H, W)."""
+        calibrated = self._calibration is not None
+        decoded_as, self._late = patterns_without(self._plan, late, self._projector_size, calibrated=calibrated)
+        places = [place for place, pattern in enumerate(decoded_as) if pattern is not None]
+        for number, place in enumerate(places):
+            if place > number:
+                frames[number] = frames[place]
+        self._plan, self._one_axis = self._plan_of([pattern for pattern in decoded_as if pattern is not None], 1)
+        return frames[: len(places)]
 
     def _sampled(self, frames: Image, corrections: FrameCorrections) -> Samples:
         """Sample the corrected frames, from the kept ones (N, H, W)."""
@@ -222,6 +248,7 @@ class Decoder:
                     refuse_unexplained_motion(plan, suspected(anomalies), observed.motion)
         unchecked = [decoder.unchecked for decoder in calibrated.decoders if decoder.unchecked]
         findings = (
+            *([self._late] if self._late else []),
             *([one_axis_finding(self._one_axis.measured.axis)] if self._one_axis else []),
             *corrections.findings(self._plan),
             *judged,

@@ -1,8 +1,8 @@
 """Coarse projector coordinates at sampled pixels, without the decoder."""
 
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -28,7 +28,11 @@ _ENDS, _FAINT, _NEITHER = (0.1, 0.9), 0.5, 0.45
 _LEAST_OF_EACH = 0.02
 _SMOOTHED = (5, 5)
 _STEPS_OF_CYCLE = 128  # steps per cycle; gamma shifts fringes of three steps by hundredths of a cycle
+_FEWEST_STEPS = 3  # of a fringe
 _KEPT = 64  # results of the last orders: most orders differ from another one along one axis only
+
+
+_Shown = tuple[tuple[int, Pattern], ...]  # frames by their numbers
 
 
 @dataclass(frozen=True)
@@ -62,10 +66,26 @@ def coordinates(samples: LevelSamples, patterns: Sequence[Pattern], axis: Axis) 
     Returns None if the axis has neither.
     """
     ours = ((i, p) for i, p in enumerate(patterns) if isinstance(p, White | Black) or p.axis == axis)
-    return _coordinates(samples, tuple(ours), axis)
+    return _coordinates(samples, tuple(_without_copies(samples, tuple(ours))), axis)
 
 
-_Shown = tuple[tuple[int, Pattern], ...]  # frames by their numbers
+def _without_copies(samples: LevelSamples, shown: _Shown) -> Iterator[tuple[int, Pattern]]:
+    """Yield the frames but copies of the ones before, whose patterns follow from other frames."""
+    kept = [pattern for index, pattern in shown if index not in samples.copies]
+    for index, pattern in shown:
+        if index not in samples.copies or not _follows(pattern, kept):
+            yield index, pattern
+
+
+def _follows(pattern: Pattern, others: Sequence[Pattern]) -> bool:
+    """Whether other patterns along the same axis show what a pattern does."""
+    match pattern:
+        case Gray():
+            return replace(pattern, inverted=not pattern.inverted) in others
+        case Phase():
+            steps = [p for p in others if isinstance(p, Phase) and p.period == pattern.period]
+            return len(steps) >= _FEWEST_STEPS
+    return isinstance(pattern, White | Black)
 
 
 @lru_cache(_KEPT)

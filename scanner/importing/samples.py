@@ -39,6 +39,12 @@ class LevelSamples:
         return swing
 
     @cached_property
+    def copies(self) -> frozenset[int]:
+        """The frames that are the one before, exactly: of a projector that was late, or given twice by the camera."""
+        same = np.all(self.levels[1:] == self.levels[:-1], axis=(1, 2))
+        return frozenset((np.flatnonzero(same) + 1).tolist())
+
+    @cached_property
     def lit(self) -> Bools:
         """(H, W): pixels that the frames light differently."""
         return self.swing > max(_LIT * float(np.percentile(self.swing, _WELL_LIT)), 1.0)

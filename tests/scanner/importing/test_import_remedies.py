@@ -1,6 +1,7 @@
 """Frames too many, too fine or mirrored, and projectors that several sizes fit: imported, or said what helps."""
 
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,6 +53,21 @@ def test_surplus_frames_at_either_end_are_left_out(
     assert recording.projector_size == PROJECTOR
     assert list(recording.patterns)[-len(shown) :] == shown[-kept:]
     assert kept >= len(shown)
+
+
+@pytest.mark.parametrize("late", [3, 19, 24])
+def test_a_frame_that_is_the_one_before_is_named(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str], late: int
+) -> None:
+    """An inverted bit that shows the bit: coarse, or fine; and a bit that shows the inverse of a coarser one."""
+    patterns = [*PAIRS, *ENDS]
+    source = camera.write(tmp_path / "frames", patterns, named("{:02d}.png"), noisy())
+    shutil.copyfile(source / f"{late - 1:02d}.png", source / f"{late:02d}.png")
+    assert imported(source, "--out", tmp_path / "out") == 0
+    assert f"{late:02d}.png is the frame before it, bit for bit: the projector was late" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    assert list(open_capture(tmp_path / "out").patterns) == patterns
 
 
 @pytest.mark.parametrize("count", [3, 4])
