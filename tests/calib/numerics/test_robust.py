@@ -8,6 +8,7 @@ from hypothesis.extra import numpy as arrays
 
 from calib.numerics import (
     Floats,
+    blocks,
     clustered_scatter,
     fit_huber,
     fit_reweighted,
@@ -93,3 +94,14 @@ def test_points_of_a_cluster_count_as_one() -> None:
     np.testing.assert_allclose(alone, scores.T @ scores)
     repeated = clustered_scatter(np.repeat(scores, 4, axis=0), np.repeat(np.arange(30), 4))
     np.testing.assert_allclose(repeated, 16 * alone)
+
+
+@given(
+    pixel=st.lists(st.tuples(st.integers(0, 200), st.integers(0, 200)), min_size=1, max_size=60),
+    side_px=st.integers(1, 50),
+)
+def test_pixels_share_a_label_if_they_share_a_block(pixel: list[tuple[int, int]], side_px: int) -> None:
+    labels = blocks(np.array(pixel), side_px)
+    squares = [(x // side_px, y // side_px) for x, y in pixel]
+    assert set(labels) == set(range(len(set(squares))))
+    assert len(set(zip(labels.tolist(), squares, strict=True))) == len(set(squares))

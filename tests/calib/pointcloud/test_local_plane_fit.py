@@ -80,3 +80,15 @@ def test_an_outlier_affects_only_its_own_windows() -> None:
 
 def spoiled_by(before: WindowPlanes, after: WindowPlanes) -> Floats:
     return np.linalg.norm((before.normals - after.normals).astype(np.float64), axis=-1)
+
+
+@pytest.mark.parametrize(("number", "known"), [(4, False), (5, True)])
+def test_a_plane_takes_a_point_and_four_neighbours(number: int, known: bool) -> None:
+    whole = wavy_surface(40, 40, 0.0)
+    points = np.full_like(whole, np.nan)
+    for row, column in [(20, 20), (20, 23), (23, 20), (23, 23), (21, 22)][:number]:
+        points[row, column] = whole[row, column]
+    planes = window_planes(points, FOCAL_PX, 7)
+    assert planes.count[20, 20] == number
+    assert bool(np.isfinite(planes.normals[20, 20]).all()) == known
+    assert bool(np.isfinite(planes.roughness[20, 20])) == known

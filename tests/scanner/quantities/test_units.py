@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scanner.errors import InputError
-from scanner.quantities import parse_length
+from scanner.quantities import parse_length, shown_unit
 from tests.support.command_line import run
 
 
@@ -29,3 +29,11 @@ def test_a_length_that_nothing_has_is_refused(text: str, unit: str) -> None:
 def test_a_scale_that_nothing_has_is_refused(value: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--config", "configs/room-sim.yaml", "--set", f"scale.baseline_m={value}", "--out", "none") == 2
     assert "'scale.baseline_m' must be" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("unit", "words"),
+    [("m", "50.8 ± 1.2 mm"), ("cm", "0.508 ± 0.012 mm"), ("mm", "0.0508 ± 0.0012 mm"), ("in", "0.0508 ± 0.0012 in")],
+)
+def test_metric_lengths_are_shown_in_millimetres(unit: str, words: str) -> None:
+    assert shown_unit(unit).length(0.0508, 0.0012) == words
