@@ -47,9 +47,9 @@ from calib.geometry.radial_distortion import (
     unproject,
     unproject_into,
 )
-from calib.geometry.reprojection_error import before_the_matches
 from calib.geometry.triangulation import (
     Intersections,
+    before_the_matches,
     depths_on_stripes,
     intersect,
     intersect_rays,

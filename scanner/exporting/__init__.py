@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from scanner.exporting.glb import Piece as Piece
     from scanner.exporting.glb import write_glb as write_glb
     from scanner.exporting.glb import write_pieces as write_pieces
-    from scanner.exporting.open3d_module import open3d as open3d
-    from scanner.exporting.poisson import mesh_of as mesh_of
-    from scanner.exporting.poisson import reconstruct_surface as reconstruct_surface
     from scanner.exporting.triangles import Mesh as Mesh
+    from scanner.exporting.triangles import mesh_of as mesh_of
+    from scanner.exporting.triangles import open3d as open3d
+    from scanner.exporting.triangles import reconstruct_surface as reconstruct_surface
 
 # The command line asks for `FORMATS` alone.
 __all__, __getattr__, __dir__ = defer_imports(
@@ -26,8 +26,6 @@ __all__, __getattr__, __dir__ = defer_imports(
     {
         "formats": "DEFAULT_GAMMA DEFAULT_POINTS ExportRequest FORMATS",
         "glb": "Piece write_glb write_pieces",
-        "open3d_module": "open3d",
-        "poisson": "mesh_of reconstruct_surface",
-        "triangles": "Mesh",
+        "triangles": "Mesh mesh_of open3d reconstruct_surface",
     },
 )

@@ -1,14 +1,28 @@
-"""The surface as triangles between the pixels of the camera."""
+"""Surfaces as triangles: between the pixels of the camera, or through points with normals, by Open3D.
+
+Kazhdan and Hoppe, "Screened Poisson surface reconstruction", 2013.
+"""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib import open3d_module
 from calib.numerics import Floats, Ints
 from calib.pointcloud import SeenPoints, image_triangles
 from scanner.errors import InputError
 from scanner.results import FinishedScan
+
+
+def open3d() -> Any:
+    """The module, which has no types. Raises InputError that says what to install if it cannot be loaded."""
+    try:
+        return open3d_module.open3d()
+    except ImportError as error:
+        raise InputError(str(error)) from error
+
 
 # From the camera's axes (x right, y down, z forward) to glTF's (x right, y up, z backward).
 Y_UP_FROM_CAMERA = np.array([1.0, -1.0, -1.0])
@@ -44,3 +58,32 @@ def build_mesh(scan: FinishedScan) -> Mesh:
     used[triangles.ravel()] = True
     corners = (np.cumsum(used, dtype=np.int32) - np.int32(1))[triangles]
     return Mesh(scan.points[used], scan.normals[used], scan.colours[used], corners, scan.unit)
+
+
+_Numbers = NDArray[np.floating]
+
+
+def reconstruct_surface(
+    points: _Numbers, normals: _Numbers, colours: NDArray[np.uint8], *, depth: int, scale: float
+) -> Any:
+    """Open3D's mesh of points and normals (N, 3) and RGB (N, 3): 2^`depth` cells to the side of a cube `scale` times as
+    large as they reach. Raises InputError if Open3D cannot be loaded.
+    """
+    o3d = open3d()
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    cloud.normals = o3d.utility.Vector3dVector(normals.astype(np.float64))
+    cloud.colors = o3d.utility.Vector3dVector(colours / 255.0)
+    return o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(cloud, depth=depth, scale=scale, n_threads=1)[0]
+
+
+def mesh_of(mesh: Any, unit: str) -> Mesh:
+    """Of Open3D's mesh: the points that triangles use, with normals."""
+    mesh.remove_unreferenced_vertices()
+    mesh.compute_vertex_normals()
+    return Mesh(
+        np.asarray(mesh.vertices).astype(np.float64),
+        np.asarray(mesh.vertex_normals).astype(np.float64),
+        np.rint(255 * np.clip(np.asarray(mesh.vertex_colors), 0, 1)).astype(np.uint8),
+        np.asarray(mesh.triangles).astype(np.int64),
+        unit,
+    )

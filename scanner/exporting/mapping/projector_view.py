@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats, Ints, compiled, in_slices
 from scanner.exporting.mapping.wall import WallView
-from scanner.exporting.open3d_module import open3d
-from scanner.exporting.triangles import Mesh
+from scanner.exporting.triangles import Mesh, open3d
 from scanner.io import RowFile, StoredDevice, row_bands
 
 Numbers = NDArray[np.float32]

@@ -8,8 +8,7 @@ from scipy.spatial import cKDTree
 
 from calib.numerics import Floats
 from scanner.errors import InputError
-from scanner.exporting.poisson import mesh_of, reconstruct_surface
-from scanner.exporting.triangles import Mesh, build_mesh
+from scanner.exporting.triangles import Mesh, build_mesh, mesh_of, reconstruct_surface
 from scanner.io import CloudPoints, StoredDevice, read_cloud, read_network
 from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, OBJECT_FILE, ROOM_FILE, read_finished_scan
 
