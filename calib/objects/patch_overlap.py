@@ -1,16 +1,13 @@
-"""Where patches of one view meet another view at a supposed pose, and what that says for the pose and
-against it; which pixels other views confirm, once poses are known."""
+"""Where patches of one view meet another view at a supposed pose, and what that says for the pose and against it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Pose
-from calib.numerics import Bools, Floats, Ints, compiled
-from calib.objects.joint import NARROW
-from calib.objects.view import ObjectView, without_small_pieces
+from calib.numerics import Floats, Ints, compiled
+from calib.objects.view import ObjectView
 from calib.registration import match_keypoints, pixel_under, rotate_vector
 
 UNSEEN, HIDDEN, THROUGH_FREE_SPACE, OFF_SURFACE = -1, -2, -3, -4
@@ -147,44 +144,3 @@ def evidence(
 def mark_pairs(first: ObjectView, second: ObjectView) -> tuple[Ints, Ints]:
     """Matching keypoints, (M,) of either view."""
     return match_keypoints(first.keypoints, second.keypoints)
-
-
-_FEWEST = 4  # number of views from which a point must be seen by another view as well
-
-
-@dataclass(frozen=True, eq=False)
-class Confirmation:
-    """Of one view: `of_thing` (H, W), the pixels confirmed by others; `apart` (H, W), their mean distance in front of
-    the others' surfaces, in the points' unit, NaN where unknown.
-    """
-
-    of_thing: Bools
-    apart: NDArray[np.float32]
-
-
-def confirmed(views: Sequence[ObjectView], places: Sequence[Pose]) -> list[Confirmation]:
-    """For each view; `places`: X_common = R X_view + t."""
-    found = []
-    for k, (view, place) in enumerate(zip(views, places, strict=True)):
-        there = np.isfinite(view.points[..., 2])
-        points, normals = (each[there].astype(np.float64) for each in (view.points, view.normals))
-        seen, through = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
-        total = np.zeros(len(points))
-        for other, (seen_by, at) in enumerate(zip(views, places, strict=True)):
-            if other != k:
-                to_other = at.inverse() @ place
-                overlap = overlapping_pixels_of_points(points, normals, seen_by, to_other, NARROW * view.grain)
-                met = np.flatnonzero(overlap >= 0)
-                moved = to_other @ points[met]
-                theirs, towards = (each.reshape(-1, 3)[overlap[met]] for each in (seen_by.points, seen_by.normals))
-                total[met] += np.sum(towards * (moved - theirs), axis=1)
-                seen[met] += 1
-                through += overlap == THROUGH_FREE_SPACE
-        kept = there.copy()
-        kept[there] = (seen >= through) & (seen >= (1 if len(views) >= _FEWEST else 0))
-        of_thing = without_small_pieces(kept)
-        apart = np.full(there.shape, np.nan, np.float32)
-        with np.errstate(invalid="ignore"):
-            apart[there] = total / seen
-        found.append(Confirmation(of_thing, np.where(of_thing, apart, np.float32(np.nan))))
-    return found
