@@ -6,11 +6,12 @@ BIN    := $(VENV)/bin
 # Container images often keep Python from writing bytecode: every process would compile all modules anew, for seconds.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup scan room console scan-loopback scan-loopback-stream rig try-rig try-browser test lint check-types bytecode unit benchmark paper fuzz clean
+.PHONY: help setup ready scan room object console scan-loopback scan-loopback-stream rig try-rig try-browser test lint check-types bytecode unit benchmark paper fuzz clean
 
 help:
 	@echo "make scan           set up, then scan a simulated room from three places into scans/room-sim/"
 	@echo "make room           scan a whole simulated room from six stations into scans/room-whole-sim/"
+	@echo "make object         scan a simulated object on a turntable from twelve sides into scans/object-sim/"
 	@echo "make console        the same, and more, on a page in the browser"
 	@echo "make test           set up, then run every check and every test"
 	@echo "make setup          only make $(VENV)/, with the command $(BIN)/scan"
@@ -23,16 +24,25 @@ help:
 	@echo "make clean          remove $(VENV)/ and caches; scans/ is kept"
 
 # Installing waits for the network and the compiler for the processor: side by side.
-setup: $(VENV)/.core
+ready: $(VENV)/.core
 	@$(MAKE) --no-print-directory --jobs 2 $(VENV)/.runtime $(VENV)/.compiled
 
-scan: setup
+setup: ready
+	@$(MAKE) --no-print-directory $(VENV)/.console
+
+# The packages of scan view and scan console are installed when the result is there, which needs none of them.
+scan: ready
 	$(BIN)/scan --config configs/room-sim.yaml --captures 3 --out scans/room-sim --overwrite
+	@$(MAKE) --no-print-directory $(VENV)/.console
 
 room: setup
 	$(BIN)/scan --config configs/room-whole-sim.yaml --stations 6 --out scans/room-whole-sim --overwrite
 
-console: setup $(VENV)/.console
+object: setup
+	$(BIN)/scan --config configs/thing-sim.yaml --object --stations 12 --calibration configs/calibrations/thing-sim.yaml \
+		--out scans/object-sim --overwrite
+
+console: setup
 	$(BIN)/scan console --config configs/room-sim.yaml
 
 scan-loopback: rig

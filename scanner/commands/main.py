@@ -5,6 +5,7 @@ import sys
 from argparse import Action, ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from io import TextIOWrapper
+from pathlib import Path
 from typing import NoReturn
 
 from scanner.commands.arguments import MAIN, NAMED
@@ -92,6 +93,18 @@ def _command(name: str) -> Command:
     return NAMED[name] if name else MAIN
 
 
+def _on_unknown(first: str) -> str:
+    """What may have been meant by a first word that is no command."""
+    if Path(first).exists():
+        what = (f"scan {name} {first}" for name in ("view", "measure", "export", "replay"))
+        return f"'{first}' is no command; expected, for a result or a capture, one of: {', '.join(what)}"
+    from difflib import get_close_matches  # rarely needed
+
+    if near := get_close_matches(first, NAMED, n=1):
+        return f"unknown command '{first}'; did you mean 'scan {near[0]}'?"
+    return f"unknown command '{first}'; expected --config FILE, or one of: {', '.join(NAMED)}"
+
+
 def choose_command(arguments: list[str]) -> tuple[str, list[str]]:
     """The command's name, '' for the main job, and its arguments."""
     if not arguments:
@@ -100,5 +113,5 @@ def choose_command(arguments: list[str]) -> tuple[str, list[str]]:
     if first in NAMED:
         return first, rest
     if not first.startswith("-"):
-        raise InputError(f"unknown command '{first}'; expected --config FILE, or one of: {', '.join(NAMED)}")
+        raise InputError(_on_unknown(first))
     return "", arguments

@@ -42,7 +42,7 @@ NOT_RUN = {
     "scan --config configs/room-whole-sim.yaml": "runs for minutes",
     "scan live": "needs a calibration of its rig; its own tests have one",
     "scan object": "needs a thing's stations; its own tests have them",
-    "scan --config configs/thing-sim.yaml": "runs for minutes",
+    "scan --config my-rig.yaml --object": "needs a rig",
     "scan export thing": "needs a thing's result; its own tests have one",
     "scan export hall-network": "needs a network's result; its own tests have one",
     "scan batch": "starts workers; its own tests do",

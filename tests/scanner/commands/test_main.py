@@ -67,7 +67,9 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     ("arguments", "words"),
     [
         ((), ("nothing to do", "usage: scan", "replay")),
-        (("device",), ("unknown command 'device'", "--config FILE", "replay, calibrate, ")),
+        (("frobnicate",), ("unknown command 'frobnicate'", "--config FILE", "replay, calibrate, ")),
+        (("mesure",), ("unknown command 'mesure'", "did you mean 'scan measure'?")),
+        ((".",), ("'.' is no command", "scan view ., scan measure ., scan export ., scan replay .")),
         (("--confg", "room.yaml"), ("--config", "scan --help")),
         (("--out", "room"), ("--config",)),
         (("--config", "missing.yaml"), ("missing.yaml", "no such file")),
