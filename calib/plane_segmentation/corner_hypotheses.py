@@ -61,12 +61,14 @@ class Triple:
 class Triples:
     """`square`: all triples that can be a corner if the projector's pixels are square, best first. `off_square`:
     deviation from square of the most likely pixels if they may have any shape; `oblong_nats`: log likelihood ratio of
-    that solution to the best of `square`, −infinity if either is missing.
+    that solution to the best of `square`, −infinity if either is missing. `off_diamond`: least deviation of pixels with
+    which three planes are a corner from those of a diamond array of mirrors, twice as wide as high or the reverse.
     """
 
     square: list[Triple]
     off_square: float
     oblong_nats: float
+    off_diamond: float
 
 
 def corner_triples(segments: Segments, camera_px: Floats, point: tuple[float, float] = (0.0, 0.0)) -> Triples:
@@ -80,13 +82,14 @@ def corner_triples(segments: Segments, camera_px: Floats, point: tuple[float, fl
     segments = segments.about(point)
     view, planes, label = segments.view, segments.planes, segments.label
     share = np.bincount(label[label >= 0], minlength=len(planes)) / len(label)
-    hypotheses, off_square, oblong_score = [], 0.0, -np.inf
+    hypotheses, off_square, oblong_score, off_diamond = [], 0.0, -np.inf, np.inf
     for chosen in combinations(range(min(len(planes), _CANDIDATES)), 3):
         index = list(chosen)
         trials = _trials(view, planes[index], [x[i] for i in index], planes[share > _REGULAR_SHARE])
         if trials is None:
             continue
         large = float(np.sum(np.log(share[index])))
+        off_diamond = min(off_diamond, trials.off_diamond)
         fit, oblong = trials.likeliest(_SQUARE_SIGMA), trials.likeliest(_OBLONG_SIGMA)
         if fit.off_square < _MOST_OFF_SQUARE:
             sigma = max(_direction_sigma_deg(fit, planes[i], segments.covariance[i]) for i in index)
@@ -97,7 +100,8 @@ def corner_triples(segments: Segments, camera_px: Floats, point: tuple[float, fl
     hypotheses.sort(key=lambda triple: -triple.score)
     # Densities of the two terms' priors at their peaks: a wider prior has a lower density.
     wider = 2 * np.log(_OBLONG_SIGMA / _SQUARE_SIGMA)
-    return Triples(hypotheses, off_square, float(oblong_score - wider - hypotheses[0].score) if hypotheses else -np.inf)
+    oblong_nats = float(oblong_score - wider - hypotheses[0].score) if hypotheses else -np.inf
+    return Triples(hypotheses, off_square, oblong_nats, off_diamond)
 
 
 def outermost(triples: list[Triple], segments: Segments) -> Triple:
@@ -153,6 +157,11 @@ class _Trials:
     at_infinity: Floats
     shape: Floats
     likelihood: Floats
+
+    @property
+    def off_diamond(self) -> float:
+        """The least deviation of log aspect and skew from pixels twice as wide as high, or the reverse."""
+        return float(np.hypot(np.abs(self.shape[:, 0]) - np.log(2), self.shape[:, 1]).min())
 
     def likeliest(self, sigma: float) -> _Fit:
         """Return the most likely trial if log aspect and skew have this standard deviation."""

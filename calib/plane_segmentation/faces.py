@@ -25,6 +25,8 @@ _MOST_DIRECTION_SIGMA_DEG = 0.2
 # Log odds that the projector distorts its image; −7 to −4 for undistorted images. Walls and furniture a degree or two
 # off square, or an off-centre principal point, can look like a small distortion.
 _CLEARLY_OBLONG, _NOTABLY_OBLONG = 5.0, 0.05
+# Deviation of log aspect and skew from a diamond array's, within which focal lengths are tried only coarsely.
+_AS_DIAMOND = 0.1
 
 NOT_SMOOTH = FindingKind(
     "matches-not-smooth",
@@ -160,6 +162,12 @@ def _no_corner(segments: Segments, triples: Triples) -> RefusalError:
     count, uneven = f"{len(segments.planes)} planes were found", _unevenness(segments)
     if not triples.square:
         reason = f"{count}{uneven}, but no three of them are perpendicular to each other."
+        if triples.off_diamond < _AS_DIAMOND:
+            reason += " Three would be if the projector's pixels were twice as wide as high, as in a diamond array."
+            advice = (
+                "If its mirrors are a diamond array (DLP LightCrafter), import the frames with --pixel-aspect 0.5, "
+                f"which tells them in square pixels. Otherwise: {advice[0].lower()}{advice[1:]}"
+            )
         return RefusalError(NO_PERPENDICULAR_PLANES, reason, advice, {"planes": float(len(segments.planes))})
     sigma = min(triple.direction_sigma_deg for triple in triples.square)
     return RefusalError(

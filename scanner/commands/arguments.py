@@ -416,6 +416,8 @@ def of_import_(parser: ArgumentParser) -> None:
     )
     add_text(parser, "--from", "FORMAT", "program that took the frames (default: all)")
     add_text(parser, "--projector", "WxH", "the projector's size, as in 1024x768")
+    what = "height of the projector's pixels over their width, 0.5 for diamond arrays of mirrors (default: 1)"
+    add_text(parser, "--pixel-aspect", "RATIO", what)
     add_text(parser, "--cell", "PX", "projector pixels in a cell of the Gray code (default: what fits of 1, 2 and 4)")
     what = "numbers of fringe periods across the picture, in the order of the frames, as in 59,64,70"
     add_text(parser, "--periods", "N,…", what)

@@ -4,6 +4,7 @@ import re
 from argparse import Namespace
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 from rich import box
@@ -13,6 +14,7 @@ from rich.table import Table
 from scanner.commands import import_recording
 from scanner.errors import InputError
 from scanner.importing import (
+    DIAMOND_ARRAYS,
     LAYOUTS,
     FrameFiles,
     FrameLayout,
@@ -28,11 +30,13 @@ from scanner.importing import (
     take_samples,
     write_capture,
 )
+from scanner.patterns import in_square_pixels
 from scanner.results import OutputFolder
 from scanner.shown_text import harmless
 from scanner.ui import Terminal
 
 _MOST_CELL_PX, _MOST_ORDERS = 4096, 99
+_RATIOS = 0.2, 5.0  # of the sides of pixels
 _MOST_PERIODS, _MOST_TO_A_PICTURE = 8, 1000
 
 
@@ -58,6 +62,7 @@ def run(args: Namespace) -> None:
     recognised, rejected = recognise(files, layouts, given, look, terminal, args.flip)
     order = _number(args.order, "--order", "a number of the list", _MOST_ORDERS)
     is_looked_at = recognised or any(reason.stage > OrderStage.COUNT for reason in rejected)
+    aspect = _ratio(args.pixel_aspect)
     copies = _copies(files, look()) if is_looked_at else ""
     chosen = _only_one(files, recognised, rejected, order, copies)
     if name is None:
@@ -65,6 +70,16 @@ def run(args: Namespace) -> None:
     unused = [*files.left_out, *(path for path in files.numbered if path not in chosen.files)]
     left_out = f"; left out: {', '.join(path.name for path in unused)}" if unused else ""
     terminal.show(f"{files}: {chosen.layout.title}, {_shown(chosen.projector_size)} ({chosen.how}){left_out}{copies}")
+    if aspect is None and chosen.projector_size in DIAMOND_ARRAYS:
+        width, height = chosen.projector_size
+        terminal.show(
+            f"{width} × {height} mirrors are a diamond array (DLP LightCrafter), whose pixels are twice as wide as "
+            "high: give --pixel-aspect 0.5, unless the picture was scaled to them."
+        )
+    if aspect is not None:
+        patterns, size = in_square_pixels(chosen.patterns, chosen.projector_size, aspect)
+        chosen = replace(chosen, patterns=patterns, projector_size=size)
+        terminal.show(f"In square pixels: {_shown(size)}.")
     if output is None:
         terminal.show("→ The same command with --out CAPTURE makes a capture of them.")
         return
@@ -73,6 +88,17 @@ def run(args: Namespace) -> None:
     terminal.show(
         f"{len(chosen.files)} frames and capture.yaml are in {args.out}", f"→ scan replay {args.out} reconstructs it."
     )
+
+
+def _ratio(text: str | None) -> float | None:
+    """A ratio from the command line. Raises InputError."""
+    if text is None:
+        return None
+    low, high = _RATIOS
+    value = float(text) if re.fullmatch(r"[0-9]+\.?[0-9]*", text) else 0.0
+    if not low <= value <= high:
+        raise InputError(f"--pixel-aspect {text}: expected height over width, {low:g} to {high:g}, as in 0.5")
+    return value
 
 
 def _named(every: Sequence[FrameLayout], name: str) -> FrameLayout:

@@ -7,12 +7,12 @@ from scanner.recordings import exposure_text, import_recording, read_programme
 from scanner.results import OutputFolder
 from scanner.ui import Terminal
 
-_OF_FRAMES = ("from", "projector", "cell", "periods", "frames", "order", "flip")
+_OF_FRAMES = ("from", "projector", "cell", "periods", "frames", "order", "flip", "pixel_aspect")
 
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
-    given = [f"--{option}" for option in _OF_FRAMES if getattr(args, option) is not None]
+    given = [f"--{option.replace('_', '-')}" for option in _OF_FRAMES if getattr(args, option) is not None]
     if given:
         raise InputError(f"{', '.join(given)}: only for a folder of frames, not for a recording")
     if args.sequence is None:

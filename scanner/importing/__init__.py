@@ -7,5 +7,6 @@ from scanner.importing.layout import FrameLayout, Given
 from scanner.importing.layouts import LAYOUTS
 from scanner.importing.order_description import describe_order
 from scanner.importing.plausibility import OrderStage
+from scanner.importing.projector_size import DIAMOND_ARRAYS
 from scanner.importing.recognition import Recognised, Rejected, recognise
 from scanner.importing.samples import LevelSamples, take_samples

@@ -28,6 +28,8 @@ _SELDOM: tuple[Size, ...] = (
     (640, 360), (800, 480), (960, 540), (1024, 600), (1600, 1200), (2048, 1080), (2048, 1536), (2560, 1440),
     (2560, 1600), (4096, 2160),
 )  # fmt: skip
+# Of these, arrays of mirrors that stand on a corner: twice as many columns to a length as rows.
+DIAMOND_ARRAYS: tuple[Size, ...] = ((608, 684), (912, 1140))
 _STRIPES = 24
 _FEWEST_IN_STRIPE = 5
 _MOST_STRAY = 0.0005

@@ -221,8 +221,19 @@ def test_a_corner_that_is_not_square_is_refused() -> None:
     rng = np.random.default_rng(9)
     scene = plain_room(rng, boxes=furniture(rng, 2.5, hides_vertex=False))
     stretched = replace(scene.matches, projector_px=scene.matches.projector_px * (1.25, 1.0))
-    with pytest.raises(RefusalError, match="perpendicular"):
+    with pytest.raises(RefusalError, match="perpendicular") as caught:
         find_faces(stretched, size(scene.calibration.camera), (1068, 480))
+    assert "diamond" not in str(caught.value)
+
+
+def test_pixels_of_a_diamond_array_are_told() -> None:
+    """The columns of the matches' projector are twice as wide as its rows are high."""
+    scene = plain_room(np.random.default_rng(9))
+    width, height = size(scene.calibration.projector)
+    oblong = replace(scene.matches, projector_px=scene.matches.projector_px * (0.5, 1.0) - (0.25, 0.0))
+    with pytest.raises(RefusalError, match="twice as wide as high, as in a diamond array") as caught:
+        find_faces(oblong, size(scene.calibration.camera), (width // 2, height))
+    assert "--pixel-aspect 0.5" in caught.value.advice
 
 
 @pytest.mark.parametrize(("seed", "oblong_percent"), [(101, 17), (102, 16)])

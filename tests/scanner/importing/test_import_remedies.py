@@ -157,3 +157,16 @@ def test_what_lacks_only_a_number_is_the_only_reason(
     assert reasons[0].endswith("give --projector and --periods")
     assert imported(source, "--projector", "640x480", "--periods", "32", "--out", tmp_path / "out", "--quiet") == 0
     assert all(map(same, open_capture(tmp_path / "out").patterns, patterns))
+
+
+def test_oblong_pixels_are_told_in_square_ones(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("{:02d}.png"))
+    assert imported(source, "--pixel-aspect", "0.5", "--out", tmp_path / "out") == 0
+    assert "In square pixels: projector 1280 × 480" in " ".join(capsys.readouterr().out.split())
+    recording = open_capture(tmp_path / "out")
+    assert recording.projector_size == (2 * PROJECTOR[0], PROJECTOR[1])
+    assert {(p.axis, p.cell) for p in recording.patterns if isinstance(p, Gray)} == {("x", 2), ("y", 1)}
+    assert imported(source, "--pixel-aspect", "0") == 2
+    assert "expected height over width, 0.2 to 5, as in 0.5" in capsys.readouterr().err
