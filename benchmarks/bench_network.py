@@ -4,13 +4,15 @@
 
 Matches are computed without rendering, with 0.05 projector px of noise and labelled faces; walls are 0.3° off square,
 lenses are random; `--wavy` gives walls waves, `--keystone` makes one edge of the first projector's picture longer than
-the opposite one. Networks of which a warped picture is named count as refused. 'error/sigma' is the root mean square of
-focal lengths, principal points and places over their sigmas, 'worst' the largest one. 'bound' is what the median error
-of focal lengths would be at the Cramér–Rao bound, of noise alone.
+the opposite one, `--turned` turns the first camera before it sees the last projector, and says what is told of it.
+Networks of which a warped picture, or a device that was moved, is named count as refused. 'error/sigma' is the root
+mean square of focal lengths, principal points and places over their sigmas, 'worst' the largest one. 'bound' is what
+the median error of focal lengths would be at the Cramér–Rao bound, of noise alone.
 """
 
 import argparse
 import time
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +21,7 @@ from cramer_rao import bound_of_network
 from calib.networks import NetworkEstimate, estimate_network
 from calib.numerics import SIGMA_PER_MEDIAN
 from calib.refusal import RefusalError
-from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
+from calib.synthetic import RoomOptions, SyntheticNetwork, random_network, with_turned_camera
 
 
 def errors(estimate: NetworkEstimate, network: SyntheticNetwork) -> tuple[list[float], list[float], list[float]]:
@@ -58,6 +60,7 @@ def main() -> None:
     parser.add_argument("--wavy", type=float, default=0.0, help="of the walls, root mean square in metres")
     parser.add_argument("--keystone", type=float, default=0.0, help="of the first projector, 0.01 for one per cent")
     parser.add_argument("--sizes", nargs="+", default=["2x1", "1x2", "2x2", "4x4"], metavar="CAMERASxPROJECTORS")
+    parser.add_argument("--turned", type=float, default=0.0, help="degrees about a random axis")
     args = parser.parse_args()
     options = RoomOptions(boxes=2, count=40_000, wavy=args.wavy)
     print("            focals, %                  places, mm       error/sigma   worst  processor s  per pair  refused")
@@ -68,26 +71,33 @@ def main() -> None:
         places: list[float] = []
         relative: list[float] = []
         bounds: list[float] = []
-        costs, refused = [], 0
+        costs, refused, reasons = [], 0, Counter[str]()
         for seed in range(args.rooms):
             network = random_network(np.random.default_rng(seed), cameras, projectors, options)
             network = with_keystone(network, args.keystone) if args.keystone else network
+            if args.turned:
+                axis = np.random.default_rng([seed, 7]).normal(size=3)
+                turn = np.radians(args.turned) * axis / np.linalg.norm(axis)
+                network = with_turned_camera(network, ("camera1", f"projector{projectors}"), turn)
             sizes = {name: device.size for name, device in network.devices.items()}
             start = time.process_time()
             try:
                 estimate = estimate_network(network.captures, sizes)
-            except RefusalError:
+            except RefusalError as refusal:
                 refused += 1
+                reasons[refusal.finding.kind.name] += 1
                 continue
             if estimate.warps:
                 refused += 1
+                reasons[f"{estimate.warps.moved} moved" if estimate.warps.moved else "warped"] += 1
                 continue
             costs.append(time.process_time() - start)
             bounds.extend(100 * bound_of_network(network, estimate.names, options.noise_px) / SIGMA_PER_MEDIAN)
             for total, own in zip((focals, places, relative), errors(estimate, network), strict=True):
                 total.extend(own)
+        if reasons:
+            print(f"{size:9s}  refused: {', '.join(f'{reason} {count}' for reason, count in reasons.most_common())}")
         if not costs:
-            print(f"{size:9s}  all refused")
             continue
         print(
             f"{size:9s} {np.median(focals):8.3f} {max(focals):8.3f} {np.median(bounds):8.3f}"

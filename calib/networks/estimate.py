@@ -15,15 +15,17 @@ from calib.estimation import (
     separate_plane,
 )
 from calib.finding import FindingKind
-from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Size
+from calib.geometry import FACES, NO_FACE, PER_PLANE, Intrinsics, Matches, Size
 from calib.networks.doubts import Strain, refuse_mirrored, standing_alike, strains
 from calib.networks.growth import ROUGH, Grown
 from calib.networks.missing import not_connected
+from calib.networks.moves import Explanation, likeliest, moves
 from calib.networks.network import WARP, Device, Network
 from calib.networks.overlaps import PairName
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.sights import PlaneObservation
-from calib.networks.warps import Warps, find_warps, or_moved, weighed
+from calib.networks.warps import Warps, find_warps, is_strained, or_moved, warped, weighed
+from calib.networks.weights import Weights
 from calib.numerics import Floats, evenly
 from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
 from calib.refusal import RefusalError
@@ -34,6 +36,7 @@ _MOST = 200_000  # matches of a pair, to twice as many: their mean noise is far 
 _METHODS: tuple[Method, ...] = ("refined", "paper")
 _ROUNDS = 4
 _IN_FRONT = 0.98  # of a sight's cells
+_EXPLAINED = 2 / 3  # of the cost remains: where walls are not flat, any further parameter lowers it a little
 
 NO_CORNER_IN_NETWORK = FindingKind(
     "no-corner-in-network",
@@ -182,20 +185,46 @@ def _calibrated(pair: PairName, matches: Matches, knowledge: NetworkKnowledge, m
     )
 
 
-def _without_wrong_ties(grown: Grown) -> tuple[tuple[PlaneObservation, ...], Fit[Network]]:
-    """A first fit; sights that are not on the plane that they were taken for have planes of their own, and those that
-    end behind a device are left out.
+def _first_fit(grown: Grown) -> tuple[tuple[PlaneObservation, ...], Fit[Network], str]:
+    """The sights to use, a fit to them, and the device that was moved between its captures, if one was.
+
+    Sights that end behind a device are left out. Those that are not on the plane that they were taken for have planes
+    of their own, unless one device that was moved, or warped pictures, are likelier than all of these.
     """
+    tied, fit = _fit_in_front(grown, grown.network, grown.sights)
+    sights, untied_fit = _without_wrong_associations(grown, tied, fit)
+    wrong = len(untied_fit.layout.planes) - len(fit.layout.planes)
+    if not wrong and not is_strained(sights, fit):
+        return tied, fit, ""
+    alone = Weights.of_noise(sights).fitted(grown, sights, untied_fit.layout, grown.free(untied_fit.layout), ROUGH)
+    as_it_is = Explanation(alone, sights, PER_PLANE * wrong)
+    likely = likeliest(as_it_is, [*moves(grown, tied, fit.layout), warped(grown, tied, fit)])
+    if likely is as_it_is or likely.fit.cost > _EXPLAINED * fit.cost:
+        return sights, untied_fit, ""
+    return tied, fit, likely.moved
+
+
+def _fit_in_front(
+    grown: Grown, network: Network, sights: tuple[PlaneObservation, ...]
+) -> tuple[tuple[PlaneObservation, ...], Fit[Network]]:
+    """A fit near a network, without sights that end behind a device."""
     prior = grown.knowledge.prior(grown.names)
-    network, sights = _in_front(grown.network, grown.sights)
+    network, kept = _in_front(network, sights)
     while True:
-        variances = [sight.cells.sigma_px**2 for sight in sights]
+        sights, variances = kept, [sight.cells.sigma_px**2 for sight in kept]
         free, joints = grown.free(network), grown.joints(network)
         fit = minimise(sights, network, prior, variances, free, joints=joints, tolerance=ROUGH)
         network, kept = _in_front(fit.layout, sights)
-        if len(kept) < len(sights):
-            sights = kept
-            continue
+        if len(kept) == len(sights):
+            return sights, fit
+
+
+def _without_wrong_associations(
+    grown: Grown, sights: tuple[PlaneObservation, ...], fit: Fit[Network]
+) -> tuple[tuple[PlaneObservation, ...], Fit[Network]]:
+    """With planes of their own for sights that are not on the plane that they were taken for."""
+    while True:
+        network, variances, free = fit.layout, [sight.cells.sigma_px**2 for sight in sights], grown.free(fit.layout)
         scores, freedom = association_scores(sights, fit, variances, free)
         per_freedom = np.where(freedom > 0, scores / np.maximum(freedom, 1), 0.0)
         limit = (
@@ -207,6 +236,7 @@ def _without_wrong_ties(grown: Grown) -> tuple[tuple[PlaneObservation, ...], Fit
                 network, sights = separate_plane(network, sights, worst)
         if len(network.planes) == len(fit.layout.planes):
             return sights, fit
+        sights, fit = _fit_in_front(grown, network, sights)
 
 
 def _in_front(network: Network, sights: tuple[PlaneObservation, ...]) -> tuple[Network, tuple[PlaneObservation, ...]]:
@@ -222,9 +252,12 @@ def _in_front(network: Network, sights: tuple[PlaneObservation, ...]) -> tuple[N
 def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstimate:
     """All of it at once, with the noise that its residuals show."""
     pairs = tuple(grown.labelled)
-    sights, fit = _without_wrong_ties(grown)
+    sights, fit, moved = _first_fit(grown)
     free = grown.free(fit.layout)
-    warps, fit, weights = find_warps(grown, sights, fit)
+    if moved:
+        warps, weights = Warps(moved=moved), Weights.of_noise(sights)
+    else:
+        warps, fit, weights = find_warps(grown, sights, fit)
     for last in range(_ROUNDS):
         levels, weights = weights.measured_anew(grown, sights, fit, free)
         fit = weights.fitted(grown, sights, fit.layout, free, CONVERGED if last == _ROUNDS - 1 else ROUGH)
@@ -251,6 +284,6 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
         (grown.names[0], grown.names[1]),
         sights,
         waves,
-        or_moved(warps or hidden, grown, sights, fit),
+        warps if moved else or_moved(warps or hidden, grown, sights, fit),
         {pairs[capture]: strain for capture, strain in strains(sights, fit).items()},
     )

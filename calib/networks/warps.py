@@ -1,4 +1,4 @@
-"""What a network fits better with: pictures through a homography, and a camera that was moved between its captures.
+"""What a network fits better with: pictures through a homography, or a device that was moved between its captures.
 
 A device shows or records through a homography by keystone correction, digital zoom, or a resampled image.
 
@@ -18,53 +18,13 @@ from scipy.special import chdtri
 from calib.estimation import Fit
 from calib.networks.doubts import strains
 from calib.networks.growth import ROUGH, Grown
+from calib.networks.moves import Explanation, likeliest, moves
 from calib.networks.network import PER_WARP, WARP, Network
 from calib.networks.prior import WARP_SIGMA
 from calib.networks.sights import PlaneObservation
 from calib.networks.weights import Weights
-from calib.numerics import Bools, Floats, Ints
-from calib.refinement import PER_DEVICE, alternative
-
-_SAME = np.array([1e-5, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])  # of log f, x_0, y_0, k1, k2, p1, p2, k3
-
-
-@dataclass(frozen=True)
-class SameLens:
-    """Two devices, by number, that are one in two places."""
-
-    one: int
-    other: int
-
-    def columns(self, network: Network) -> Ints:
-        """Those of both lenses, (16,)."""
-        every = np.arange(network.size, dtype=np.int32)
-        return np.concatenate([every[network.device_columns(device)][:PER_DEVICE] for device in (self.one, self.other)])
-
-    def misfit(self, network: Network) -> tuple[float, Floats, Floats]:
-        """Of the difference of both lenses: cost, half its gradient (16,) and half its Hessian (16, 16)."""
-        first, second = (network.devices[device].lens for device in (self.one, self.other))
-        off = np.array([np.log(second[0] / first[0]), *(second - first)[1:]]) / _SAME
-        slope = np.concatenate([-np.diag(1 / _SAME), np.diag(1 / _SAME)])
-        return float(off @ off), slope @ off, slope @ slope.T
-
-
-def likeliest_move(grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network]) -> tuple[float, str]:
-    """The cost, under the scatter of matches, if one camera was moved for one of its captures, and which; of the
-    likeliest. Infinite if none has two.
-    """
-    candidates = [(np.inf, "")]
-    for capture, (name, _) in enumerate(grown.labelled):
-        number, elsewhere = grown.names.index(name), len(grown.names)
-        own = {sight.capture for sight in sights if sight.camera == number}
-        if capture not in own or len(own) == 1:
-            continue
-        split = [replace(sight, camera=elsewhere) if sight.capture == capture else sight for sight in sights]
-        network = replace(fit.layout, devices=(*fit.layout.devices, fit.layout.devices[number]))
-        more = replace(grown, names=(*grown.names, name))
-        weights = replace(Weights.of_noise(split), joints=(SameLens(number, elsewhere),))
-        candidates.append((weights.fitted(more, split, network, more.free(network), ROUGH).cost, name))
-    return min(candidates)
-
+from calib.numerics import Bools, Floats
+from calib.refinement import alternative
 
 _CHANCE = 1e-4
 _BY_CHANCE = float(chdtri(PER_WARP, _CHANCE))
@@ -97,7 +57,7 @@ class Warp:
 @dataclass(frozen=True)
 class Warps:
     """Devices of which each `alone` may be the warped one, likeliest first; `several`: no one explains it. `moved`: the
-    camera that does, if it was moved between its captures.
+    device that does, if it was moved between its captures.
     """
 
     alone: tuple[Warp, ...] = ()
@@ -120,7 +80,7 @@ def find_warps(
         _, weights = weights.measured_anew(grown, sights, whole, every)
         whole = weights.fitted(grown, sights, whole.layout, every, _ENOUGH)
     none = weights.fitted(grown, sights, _without_warps(whole.layout), free, _ENOUGH)
-    if none.cost - whole.cost < _BY_CHANCE or _strained(sights, whole):
+    if none.cost - whole.cost < _BY_CHANCE or is_strained(sights, whole):
         return Warps(), none, weights
     whole = weights.fitted(grown, sights, whole.layout, every, ROUGH)
     # From walls that waves bent to fit a warp, a descent may end before it is down.
@@ -160,7 +120,7 @@ def weighed(
         (alternative.added(alternative.odds / total) for _, _, alternative in alternatives),
         np.zeros_like(fit.information),
     )
-    if total < _CERTAIN or _strained(sights, fit):
+    if total < _CERTAIN or is_strained(sights, fit):
         return Warps(), covariance
     likely: dict[str, Warp] = {}
     for name, k, moved in alternatives:
@@ -170,19 +130,29 @@ def weighed(
     return Warps(tuple(likely.values())), covariance
 
 
+def warped(
+    grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network], names: Collection[str] | None = None
+) -> Explanation:
+    """The pictures of these devices, or of all, are warped."""
+    devices = [number for number, name in enumerate(grown.names) if names is None or name in names]
+    start, free = _without_warps(fit.layout), _freed(fit.layout, grown.free(fit.layout), devices)
+    return Explanation(
+        Weights.of_noise(sights).fitted(grown, sights, start, free, ROUGH), sights, PER_WARP * len(devices)
+    )
+
+
 def or_moved(warps: Warps, grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network]) -> Warps:
-    """In place of warps that were found, a camera that was moved between its captures, if that explains more than all
-    pictures' warps together.
-    """
+    """In place of warps that were found, a device that was moved between its captures, if that is likelier."""
     if not warps:
         return warps
-    every = _freed(fit.layout, grown.free(fit.layout), range(len(grown.names)))
-    rival = Weights.of_noise(sights).fitted(grown, sights, fit.layout, every, ROUGH)
-    moved, name = likeliest_move(grown, sights, fit)
-    return Warps(moved=name) if moved < rival.cost else warps
+    alone = [warped(grown, sights, fit, [warp.name]) for warp in warps.alone]
+    usual = likeliest(warped(grown, sights, fit), alone)
+    moved = likeliest(usual, list(moves(grown, sights, fit.layout))).moved
+    return Warps(moved=moved) if moved else warps
 
 
-def _strained(sights: Sequence[PlaneObservation], fit: Fit[Network]) -> bool:
+def is_strained(sights: Sequence[PlaneObservation], fit: Fit[Network]) -> bool:
+    """Whether cells of a pair are far off the lines on which walls that are not flat move them."""
     return any(strain.across_px > _STRAINED * strain.noise_px for strain in strains(sights, fit).values())
 
 

@@ -10,7 +10,7 @@ from calib.synthetic.captures import (
     random_capture,
     random_captures,
 )
-from calib.synthetic.networks import SyntheticNetwork, random_network
+from calib.synthetic.networks import SyntheticNetwork, random_network, with_turned_camera
 from calib.synthetic.photos import SyntheticPhotoOptions, SyntheticPhotos, random_photos
 from calib.synthetic.rooms import RoomOptions, SyntheticRoom, SyntheticStation, cast, random_room, random_waves
 from calib.synthetic.stations import (

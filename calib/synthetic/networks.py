@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.geometry import Intrinsics, Matches, Pose
 from calib.numerics import Floats, Ints
@@ -73,6 +74,16 @@ def random_network(
         if all(matches.on_each_face.min() > 5 * least for matches in captures.values()):
             return SyntheticNetwork(captures, devices, poses, scene)
     raise ValueError("no room in which every pair sees the corner")
+
+
+def with_turned_camera(network: SyntheticNetwork, pair: tuple[str, str], turn: Floats) -> SyntheticNetwork:
+    """The camera of a pair was turned before that capture was taken, by a rotation vector (3,) in radians, in its own
+    frame.
+    """
+    camera, matches = network.devices[pair[0]], network.captures[pair]
+    pixels = camera.project(Rotation.from_rotvec(turn).apply(camera.unproject(matches.camera_px)))
+    turned = replace(matches, camera_px=pixels)[inside(pixels, camera)]
+    return replace(network, captures={**network.captures, pair: turned})
 
 
 def _varied(rng: np.random.Generator, device: Intrinsics) -> Intrinsics:

@@ -118,7 +118,8 @@ def _warped(network: SolvedNetwork) -> Iterator[Finding]:
     """Pictures that are not shown as they are sent, or not recorded as they are seen."""
     warps, projectors = network.estimate.warps, network.surfaces
     if warps.moved:
-        yield Finding(DEVICE_MOVED, Severity.REFUSAL, f"{warps.moved} was moved between its captures.", MOVED)
+        message = f"{warps.moved} was moved between its captures."
+        yield Finding(DEVICE_MOVED, Severity.REFUSAL, message, DEVICE_MOVED.remedy)
     if warps.several:
         message = "Pictures of several devices are warped, as by keystone correction."
         advice = f"For every projector {AS_SENT}, for every camera {AS_SEEN}, and take all captures again."
