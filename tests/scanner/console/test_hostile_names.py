@@ -1,0 +1,132 @@
+"""Names with HTML, quotes, Markdown, control characters and line ends, in a real browser and in the terminal.
+
+They are those of the working folder, of the configuration, of results, and what a result's files say of it.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from playwright.sync_api import Browser, Page, expect
+
+from calib.finding import Severity
+from scanner.commands import main
+from scanner.comparing import COMPARE_PAGE
+from scanner.results import LOG_FILE
+from scanner.viewing import escaped
+from tests.support.browsing import Served, visiting
+from tests.support.result_folder import write_result
+from tests.support.small_room import CONFIG
+
+pytestmark = pytest.mark.xdist_group("browser")
+
+TAKEN = "window.taken = 1"
+HOSTILE = (
+    f"""<img src=x onerror="{TAKEN}">'`![x](x)[y](javascript:{TAKEN})`{{{{7*7}}}}"""
+    f"\x1b[31m\nred<script>{TAKEN}<!--"
+)
+ELEMENTS = """() => [...document.querySelectorAll("*")]
+  .filter(element => /\\bx$/.test(element.getAttribute("src") || "") || /^javascript:/.test(element.href || "")
+    || [...element.attributes].some(attribute => attribute.name.startsWith("on")))
+  .map(element => element.outerHTML)"""
+
+
+def write_hostile(folder: Path) -> None:
+    """A result whose files say hostile things of it."""
+    write_result(folder)
+    file = folder / "calibration.yaml"
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    content["verdict"] = {"grade": "fair", "headline": HOSTILE, "reasons": [HOSTILE] * 9, "advice": HOSTILE}
+    finding = {"kind": HOSTILE, "severity": Severity.WARNING.value, "message": HOSTILE, "advice": HOSTILE}
+    content["findings"] = [finding]
+    file.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
+    (folder / LOG_FILE).write_text(HOSTILE)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A working folder with two results, all with hostile names."""
+    name = HOSTILE.replace("/", "")
+    folder = tmp_path_factory.mktemp("hostile") / name
+    for number in (1, 2):
+        write_hostile(folder / "scans" / f"{number}{name}")
+    (folder / f"{name}.yaml").write_text(CONFIG)
+    return folder
+
+
+def results(folder: Path) -> list[Path]:
+    return sorted((folder / "scans").iterdir())
+
+
+def assert_harmless(page: Page) -> None:
+    assert page.evaluate("window.taken") is None
+    assert page.evaluate(ELEMENTS) == []
+
+
+@pytest.fixture
+def harmless(browser: Browser) -> Iterator[Page]:
+    page = browser.new_page()
+    yield page
+    page.close()
+
+
+def test_a_result_is_shown_as_text(folder: Path, browser: Browser) -> None:
+    with Served(folder, "view", results(folder)[0]) as served, visiting(browser, served.address) as visit:
+        visit.wait_for("Points, %")
+        visit.wait_for("<img src=x onerror=")
+        assert_harmless(visit.page)
+        assert visit.foreign == []
+        code, output = served.interrupt()
+        assert code == 130
+        assert "\x1b" not in served.first_line + output
+
+
+def test_the_console_shows_names_as_text(folder: Path, browser: Browser) -> None:
+    config = next(folder.glob("*.yaml"))
+    with Served(folder, "console", "--config", config) as served, visiting(browser, served.address) as visit:
+        visit.wait_for("Exposed for")
+        visit.press("History")
+        visit.wait_for("<img src=x onerror=")
+        visit.press("Open")
+        visit.wait_for("Points, %")
+        assert_harmless(visit.page)
+        assert visit.foreign == []
+        code, output = served.interrupt()
+        assert code == 130
+        assert "\x1b" not in served.first_line + output
+
+
+def test_a_comparison_shows_names_as_text(
+    folder: Path, harmless: Page, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    first, second = results(folder)
+    assert main(["compare", str(first), str(second), "--out", str(tmp_path / "out")]) == 0
+    harmless.goto((tmp_path / "out" / COMPARE_PAGE).as_uri())
+    expect(harmless.get_by_text("<img src=x onerror=").first).to_be_visible()
+    assert_harmless(harmless)
+    assert "\x1b" not in "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize(
+    "arguments", [["measure"], ["export", "--to", "ply"], ["replay"], ["object"], ["room"], ["network"], ["view"]]
+)
+def test_the_terminal_shows_no_control_characters(
+    folder: Path, arguments: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    command, *options = arguments
+    place = results(folder)[0]
+    if command == "view":
+        place = place / "nowhere"
+    code = main([command, str(place), *options, *(["--out", str(tmp_path / "out")] if command != "view" else [])])
+    screen = "".join(capsys.readouterr())
+    assert code in (0, 2)
+    assert screen
+    assert "\x1b[31m" not in screen
+    assert "Traceback" not in screen
+
+
+def test_everything_that_markdown_reads_is_escaped() -> None:
+    letters = np.array([*"\\`*_{}[]<>#|$~"])
+    assert escaped("".join(letters)) == "".join(f"\\{letter}" for letter in letters)
