@@ -45,15 +45,13 @@ class ProgressStep:
         return 100.0 * self.done / self.total if self.total else 0.0
 
     def left_s(self, now_s: float) -> float | None:
-        """Estimate the remaining time in seconds."""
+        """Estimate the remaining time in seconds; None where nothing tells, as when a step outlasts its usual time."""
         elapsed_s = now_s - self.began_s
         if self.total and self.done:
-            whole_s = elapsed_s * self.total / self.done
-        elif self.usual_s is not None:
-            whole_s = self.usual_s
+            whole_s = elapsed_s * self.total / self.done if self.done < self.total else elapsed_s
         else:
-            return None
-        return max(0.0, whole_s - elapsed_s)
+            whole_s = self.usual_s or 0.0
+        return whole_s - elapsed_s if whole_s > elapsed_s else None
 
 
 class StagedProgress:

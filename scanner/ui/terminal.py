@@ -2,8 +2,10 @@
 
 import logging
 import sys
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from threading import Event, Thread
 from typing import TypeVar
 
 from rich.console import Console, RenderableType
@@ -26,9 +28,11 @@ T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
+LINE_EVERY_S = 30.0
+
 
 class Terminal:
-    """Progress bars where stderr is a terminal (a pipe gets none) and in the log; the summary, unless `quiet`."""
+    """Progress bars where stderr is a terminal, else a line now and then; the log; the summary; unless `quiet`."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._quiet = quiet
@@ -40,9 +44,10 @@ class Terminal:
         log.info("%s: %d", what, total)
         with self._progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left,")) as progress:
             task = progress.add_task(what, total=total)
-            for item in items:
-                yield item
-                progress.advance(task)
+            with self._lines(lambda: f"{what}, {progress.tasks[task].completed:.0f} of {total}"):
+                for item in items:
+                    yield item
+                    progress.advance(task)
 
     @contextmanager
     def step(self, what: str) -> Iterator[None]:
@@ -50,7 +55,8 @@ class Terminal:
         log.info("%s", what)
         with self._progress(SpinnerColumn()) as progress:
             task = progress.add_task(what, total=1)
-            yield
+            with self._lines(lambda: what):
+                yield
             progress.advance(task)
 
     def show(self, *parts: RenderableType) -> None:
@@ -90,6 +96,26 @@ class Terminal:
         """Ask the operator to do something; False if the operator continues without it."""
         answer = self.ask(f"{what}; then press Enter, or q and Enter to go on with what there is: ")
         return not answer.strip().lower().startswith("q")
+
+    @contextmanager
+    def _lines(self, text: Callable[[], str]) -> Iterator[None]:
+        """A line of `text` every half a minute, for who reads a pipe or a log of it while the block runs."""
+        if self._quiet or self._err.is_terminal:
+            yield
+            return
+        began_s, ended = time.monotonic(), Event()
+
+        def tell() -> None:
+            while not ended.wait(LINE_EVERY_S):
+                self.note(f"{text()}: {time.monotonic() - began_s:.0f} s so far")
+
+        teller = Thread(target=tell, daemon=True)
+        teller.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            teller.join()
 
     def _progress(self, *columns: ProgressColumn) -> Progress:
         hidden = self._quiet or not self._err.is_terminal

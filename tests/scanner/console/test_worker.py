@@ -359,7 +359,7 @@ def test_the_remaining_time_is_estimated_from_the_last_run(tmp_path: Path) -> No
     log.write_text(log.read_text().replace("03:04:22,", "03:04:22+05,"))
     assert durations_in(log)["Calibrating"] == 7, "a damaged line"
     assert ProgressStep("Calibrating", began_s=100.0, usual_s=7.0).left_s(102.0) == 5.0
-    assert ProgressStep("Calibrating", began_s=100.0, usual_s=7.0).left_s(120.0) == 0.0
+    assert ProgressStep("Calibrating", began_s=100.0, usual_s=7.0).left_s(120.0) is None
     assert ProgressStep("Capturing", 5, 20, began_s=100.0, usual_s=1.0).left_s(110.0) == 30.0
     assert ProgressStep("Calibrating", began_s=100.0).left_s(110.0) is None
 
