@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from comparison.readers import Lines, read
+from comparison.readers import Lines, Unordered, read
 
 _SMALLEST = 1e-7  # of an array's largest number: below it, rounding of the largest is more than 1e-9
 _LONGEST, _MOST_LINES = 160, 2000  # characters of a changed text that are shown; lines that are compared one by one
@@ -47,6 +48,8 @@ def differences(before: Any, after: Any, tolerance: float, where: str = "") -> I
             yield f"{where} has {len(before)} entries before, {len(after)} after".lstrip()
         for number, (first, second) in enumerate(zip(before, after, strict=False)):
             yield from differences(first, second, tolerance, f"{where}.{number}".lstrip("."))
+    elif isinstance(before, Unordered) and isinstance(after, Unordered):
+        yield from (f"{where} {difference}".lstrip() for difference in _mesh_differences(before, after, tolerance))
     elif isinstance(before, Lines) and isinstance(after, Lines):
         yield from (f"{where} {change}".lstrip() for change in _changes(before.lines, after.lines, "\n"))
     elif isinstance(before, str) and isinstance(after, str):
@@ -66,7 +69,11 @@ def _shown(value: Any) -> str:
 
 def _as_numbers(value: Any) -> NDArray[Any] | None:
     """A number, or numbers in lists of equal lengths, as an array."""
-    if isinstance(value, str | bytes | dict | Lines) or value is None or (isinstance(value, list) and not value):
+    if (
+        isinstance(value, str | bytes | dict | Lines | Unordered)
+        or value is None
+        or (isinstance(value, list) and not value)
+    ):
         return None
     try:
         array = np.asarray(value)
@@ -96,6 +103,37 @@ def _number_differences(before: NDArray[Any], after: NDArray[Any], tolerance: fl
         many = f"{np.count_nonzero(differs):,} of {a.size:,} numbers, " if a.size > 1 else ""
         size_off = f", off by {off[worst]:.2g} of its size" if finite[worst] else ""
         yield f"differs: {many}{a[worst]:.10g} is now {b[worst]:.10g}{size_off}"
+
+
+def _mesh_differences(before: Unordered, after: Unordered, tolerance: float) -> Iterator[str]:
+    if before.points.shape != after.points.shape or before.triangles.shape != after.triangles.shape:
+        yield (
+            f"has {len(before.points)} points and {len(before.triangles)} triangles before, "
+            f"{len(after.points)} and {len(after.triangles)} after"
+        )
+        return
+    order = _same_order(before.points, after.points)
+    if order is None:
+        yield "has points that are like no others"
+        return
+    yield from _number_differences(before.points, after.points[order], tolerance)
+    number = np.empty(len(order), np.intp)
+    number[order] = np.arange(len(order))
+    if not np.array_equal(_sorted_triangles(before.triangles), _sorted_triangles(number[after.triangles])):
+        yield "joins other points to triangles"
+
+
+def _same_order(before: NDArray[Any], after: NDArray[Any]) -> NDArray[np.intp] | None:
+    """The point of `after` that is most like each of `before`; None if that is one point for several."""
+    order = np.asarray(cKDTree(after).query(before)[1], np.intp)
+    return order if len(np.unique(order)) == len(order) else None
+
+
+def _sorted_triangles(triangles: NDArray[Any]) -> NDArray[Any]:
+    """Each from its smallest index on, in their order."""
+    begin = np.argmin(triangles, axis=1)[:, None]
+    turned = np.take_along_axis(triangles, (begin + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])]
 
 
 def _changes(before: Sequence[str], after: Sequence[str], between: str) -> Iterator[str]:

@@ -18,6 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -27,12 +28,38 @@ class Lines:
     lines: tuple[str, ...]
 
 
-# Keys of YAML and JSON files. `date` is of `made`, `captured` of capture.yaml; the rest are of a batch's rows.
-_TIMES = {"date", "captured", "started", "seconds", "worker"}
-_DATE = re.compile(r"\d{4}-\d\d-\d\d[T,]? ?\d\d:\d\d(:\d\d)?( UTC|\+00:00|Z)?")
-# Of live clouds: rate and delay, printed every other second; and how many were made and left out before the loop ended.
-_LIVE = re.compile(r"^(\S+ clouds a second|The first cloud), .*\n|^\d+ clouds(, \d+ rounds came while .*)?\.\n", re.M)
-_LOG = re.compile(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} (\w+) [\w.]+: ", re.M)  # modules are moved
+@dataclass(frozen=True, eq=False)
+class Unordered:
+    """Triangles in any order, as threads finish with them.
+
+    `points` (N, K): positions and everything else that is known of each, no two alike; `triangles` (T, 3): indices.
+    """
+
+    points: NDArray[np.float32]
+    triangles: NDArray[np.intp]
+
+
+# What differs between two runs of one program, in any text, and what is read instead.
+_VARYING = [
+    (re.compile(pattern, re.MULTILINE), instead)
+    for pattern, instead in (
+        # When it was made, in ISO format, in a report, in a log; modules, which the log names, are moved.
+        (r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} (\w+) [\w.]+:", r"\1:"),
+        (r"\d{4}-\d\d-\d\d(?:T|, | )\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?: UTC|\+00:00|Z)?", "DATE"),
+        # The folder in which a case runs, in a batch's table.
+        (r"(?<![\w./+=-])/[\w./-]*/\.partial-\w+/[\w.-]+/", ""),
+        # How long a check watched the rig, and what a batch took.
+        (r"within \d+ s ", "within some s "),
+        (r"^[\d.]+ s, [\d.]+ a second$", "some s"),
+        # Of live clouds: rate and delay, every other second; the number of rounds before the loop ended.
+        (r"^(?:\S+ clouds a second|The first cloud), .*\n", ""),
+        (r"^\d+ clouds(?:, \d+ rounds came while .*)?\.$", "Some clouds."),
+        # Identifiers of an E57 file's scans.
+        (r"(<StringNode 'guid'>: )\{[\w-]+\}", r"\1some"),
+    )
+]
+_OF_A_RUN = {"asked", "seconds", "worker"}  # keys of a batch's rows; what was asked for has absolute paths in it
+_SECONDS = re.compile(r"(<td class=\"number\">)[\d.]+(</td>\s*</tr>)")  # of a capture, on a batch's page
 _NUMBER = re.compile(r"(?<![\w.#])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
 _DATA_URI = re.compile(r"data:(image/(?:png|jpeg));base64,([A-Za-z0-9+/=]+)")
 
@@ -43,37 +70,42 @@ def read(path: Path) -> Any:
     return path.read_bytes() if reader is None else reader(path)
 
 
-def _without_times(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_times(inner) for key, inner in value.items() if key not in _TIMES}
-    return [_without_times(inner) for inner in value] if isinstance(value, list) else value
+def _steady(text: str) -> str:
+    for pattern, instead in _VARYING:
+        text = pattern.sub(instead, text)
+    return text
 
 
 def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
+    return _steady(path.read_text(encoding="utf-8"))
+
+
+def _rows(value: Any) -> Any:
+    """Rows of a batch, without what is of this run."""
+    if isinstance(value, dict):
+        return {key: _rows(inner) for key, inner in value.items() if key not in _OF_A_RUN}
+    if isinstance(value, list):
+        return [_rows(inner) for inner in value]
+    return _steady(value) if isinstance(value, str) else value
 
 
 def _yaml(path: Path) -> Any:
     text = _text(path)
     if text.startswith("%YAML:"):  # OpenCV's, which PyYAML does not read
         return numbers_apart(text)
-    return _without_times(yaml.safe_load(text))
+    return yaml.safe_load(text)
 
 
 def _json(path: Path) -> Any:
-    return _without_times(json.loads(path.read_bytes()))
+    return _rows(json.loads(_text(path)))
 
 
 def _csv(path: Path) -> Any:
-    return [_without_times(row) for row in csv.DictReader(_text(path).splitlines())]
+    return _rows([*csv.DictReader(_text(path).splitlines())])
 
 
-def _printed(path: Path) -> Lines:
-    return Lines(tuple(_LIVE.sub("", _text(path)).splitlines()))
-
-
-def _log(path: Path) -> Lines:
-    return Lines(tuple(_LOG.sub(r"\1: ", _text(path)).splitlines()))
+def _lines(path: Path) -> Lines:
+    return Lines(tuple(_text(path).splitlines()))
 
 
 def numbers_apart(text: str) -> dict[str, Any]:
@@ -89,15 +121,14 @@ def _numbers_apart(path: Path) -> dict[str, Any]:
 def _dxf(path: Path) -> dict[str, Any]:
     """Without the variables of the header that state when and by which library it was made, and unique identifiers."""
     made = r"  9\n\$(?:TD\w+|\w+GUID|CUSTOMPROPERTY\w*)\n *\d+\n.*\n"
-    text = re.sub(made, "", _text(path))
-    return numbers_apart(re.sub(r"(?<=\n)[\d.]+ @ \d{4}-\d\d-\d\dT[\d:.+]+(?=\n)", "", text))
+    return numbers_apart(re.sub(made, "", _text(path)))
 
 
 def _html(path: Path) -> dict[str, Any]:
     """The words of a page, its pictures, and everything else: elements, drawings, styles, scripts."""
-    text = _DATE.sub("DATE", _text(path))
+    text = _text(path)
     pictures = [_pixels(b64decode(data)) for _, data in _DATA_URI.findall(text)]
-    text = _DATA_URI.sub("PICTURE", text)
+    text = _SECONDS.sub(r"\1\2", _DATA_URI.sub("PICTURE", text))
     words = re.sub(r"<(style|script)\b.*?</\1>|<[^>]*>", "\n", text, flags=re.DOTALL)
     lines = (" ".join(line.split()) for line in words.splitlines())
     markup = re.findall(r"<(?:style|script)\b.*?</(?:style|script)>|<[^>]*>", text, flags=re.DOTALL)
@@ -171,6 +202,20 @@ def _glb(path: Path) -> dict[str, Any]:
     return {"document": document, "arrays": arrays, "pictures": pictures}
 
 
+def _room_mesh(path: Path) -> dict[str, Any]:
+    """The same of a room: Open3D extracts its triangles in the order in which threads finish with them."""
+    content = _glb(path)
+    arrays = content.pop("arrays")
+    meshes = []
+    for piece in content["document"]["meshes"][0]["primitives"]:
+        columns = [arrays[number] for number in piece["attributes"].values()]
+        count = content["document"]["accessors"][piece["attributes"]["POSITION"]]["count"]
+        every_point = np.concatenate([column.reshape(count, -1).astype(np.float32) for column in columns], axis=1)
+        points, index = np.unique(every_point, axis=0, return_inverse=True)
+        meshes.append(Unordered(points, index.reshape(-1)[arrays[piece["indices"]]].reshape(-1, 3)))
+    return content | {"meshes": meshes}
+
+
 def _stl(path: Path) -> dict[str, Any]:
     data = path.read_bytes()
     rows = np.frombuffer(data, np.dtype([("corners", "<f4", 12), ("rest", "<u2")]), offset=84)
@@ -187,9 +232,10 @@ def _e57(path: Path) -> dict[str, Any]:
     import pye57
 
     file = pye57.E57(str(path))
+    headers = (_steady("\n".join(file.get_header(number).pretty_print())) for number in range(file.scan_count))
     scans = [
-        {"points": file.read_scan_raw(number), "header": Lines(tuple(file.get_header(number).pretty_print()))}
-        for number in range(file.scan_count)
+        {"points": file.read_scan_raw(number), "header": Lines(tuple(header.splitlines()))}
+        for number, header in enumerate(headers)
     ]
     return {"scans": scans}
 
@@ -197,14 +243,14 @@ def _e57(path: Path) -> dict[str, Any]:
 def _parquet(path: Path) -> Any:
     import pyarrow.parquet
 
-    return [_without_times(row) for row in pyarrow.parquet.read_table(path).to_pylist()]
+    return _rows(pyarrow.parquet.read_table(path).to_pylist())
 
 
 def _pdf(path: Path) -> bytes:
     return re.sub(rb"/(CreationDate|ModDate) ?\([^)]*\)", b"", path.read_bytes())
 
 
-_BY_NAME: dict[str, Callable[[Path], Any]] = {"stdout.txt": _printed, "stderr.txt": _printed}
+_BY_NAME: dict[str, Callable[[Path], Any]] = {"stdout.txt": _lines, "stderr.txt": _lines, "room.glb": _room_mesh}
 _BY_ENDING: dict[str, Callable[[Path], Any]] = {
     ".3mf": _zip,
     ".csv": _csv,
@@ -214,7 +260,7 @@ _BY_ENDING: dict[str, Callable[[Path], Any]] = {
     ".html": _html,
     ".jpg": _image,
     ".json": _json,
-    ".log": _log,
+    ".log": _lines,
     ".npz": _npz,
     ".obj": _numbers_apart,
     ".parquet": _parquet,
