@@ -147,7 +147,7 @@ def _copies(files: FrameFiles, samples: LevelSamples) -> str:
 
 def _reasons(rejected: Sequence[Rejected]) -> str:
     """A line for each reason, the closest layouts first: only those that may fit, if there are any."""
-    closest = [reason for reason in rejected if reason.stage >= OrderStage.MIRRORED] or rejected
+    closest = [reason for reason in rejected if reason.stage >= OrderStage.DECODING] or rejected
     names: dict[str, list[str]] = defaultdict(list)
     for reason in closest:
         names[reason.why].append(reason.layout.name)

@@ -44,10 +44,10 @@ class OrderStage(IntEnum):
     """Neighbouring pixels have neighbouring coordinates."""
     GEOMETRY = 4
     """The coordinates of both axes belong together."""
-    MIRRORED = 5
-    """They only look as in a mirror."""
-    DECODING = 6
+    DECODING = 5
     """All frames decode."""
+    MIRRORED = 6
+    """They do so as taken, not only mirrored back."""
     OPTIONS = 7
     """They may decode once more is known."""
     SIZE = 8

@@ -118,6 +118,13 @@ def find_sizes(candidate: Candidate, extents: Sequence[Extent], given: Given) ->
     return sorted(best, key=lambda fit: (not fit.is_usual, not fit.is_often, fit.cell, fit.size))
 
 
+def constant_axes(candidate: Candidate, extents: Sequence[Extent]) -> list[str]:
+    """The axes whose two coarsest bits never change where the camera looks, as white and black taken for bits."""
+    coarsest = (_code_of(candidate.patterns, axis).bits - 2 for axis in (0, 1))
+    both = zip("xy", extents, coarsest, strict=True)
+    return [axis for axis, extent, bits in both if bits > 0 and extent.low >> bits == extent.high >> bits]
+
+
 def is_clear(fits: Sequence[SizeFit], given: Given) -> bool:
     """Whether the first of several fits can be taken without asking."""
     first = fits[0]

@@ -22,7 +22,7 @@ from scanner.importing.plausibility import (
     share_on_epipolar_lines,
     unresolved_bits,
 )
-from scanner.importing.projector_size import extents_of, find_sizes, is_clear, show_size
+from scanner.importing.projector_size import constant_axes, extents_of, find_sizes, is_clear, show_size
 from scanner.importing.samples import LevelSamples, take_lines
 from scanner.patterns import Axis, Gray, Pattern, Phase
 from scanner.ui import Progress
@@ -91,7 +91,7 @@ def recognise(
         for reason in reasons:
             before = rejected.get(reason.layout.name)
             # How far they get with other frames than there are says less than why these do not fit.
-            counts = not attempt.is_altered or nearest < reason.stage >= OrderStage.MIRRORED
+            counts = not attempt.is_altered or nearest < reason.stage >= OrderStage.DECODING
             if before is None or (counts and _distance(reason) > _distance(before)):
                 rejected[reason.layout.name] = reason
         # One that fits only because a frame is thought to be missing may do so by chance.
@@ -160,12 +160,14 @@ def _tried(attempt: _Attempt, given: Given, judge: "_Judge") -> tuple[list[Recog
         bad = [result for result in results if isinstance(result, Rejected)]
         if good:
             recognised += good
-        elif bad:
-            rejected.append(max(bad, key=_distance))
         elif possible:
-            # The variant whose objection comes last is the closest.
-            closest = max(against, key=lambda pair: _distance(pair[0]))
-            rejected.append(judge.reject(layout, *closest))
+            reasons = bad
+            if against and not any(reason.stage > OrderStage.MIRRORED for reason in bad):
+                # The variant whose objection comes last is the closest.
+                objected, candidate = max(against, key=lambda pair: _distance(pair[0]))
+                if not bad or objected.stage == OrderStage.MIRRORED:
+                    reasons = [*bad, judge.reject(layout, objected, candidate)]
+            rejected.append(max(reasons, key=_distance))
         else:
             size = "" if known.projector_size is None else f" for a projector of {show_size(known.projector_size)}"
             rejected.append(Rejected(layout, f"it has no sequence of {len(attempt.files.numbered)} frames{size}"))
@@ -217,6 +219,10 @@ class _Judge:
                 possible = ", or ".join(map(str, usual)) or "none that is usual"
                 why = f"decodes, but its {codes} are not those of a projector of {show_size(given.projector_size)}"
                 return [Rejected(layout, f"{why}; they fit {possible}", OrderStage.SIZE)]
+        is_usual = any(fit.is_usual for fit in fits)
+        if not given.projector_size and not is_usual and (axes := constant_axes(candidate, extents)):
+            why = f"decodes, but only with two frames as bits of {' and '.join(axes)} that never change"
+            return [Rejected(layout, why, OrderStage.GEOMETRY, 1.0)]
         if not fits:
             why = f"decodes, but its {codes} fit no usual projector: give --projector"
             return [Rejected(layout, why, OrderStage.SIZE)]

@@ -111,6 +111,18 @@ def test_mirrored_frames_are_named_and_mirrored_back(
         assert np.array_equal(read_image(tmp_path / "out" / file), camera.take(pattern))
 
 
+def test_white_and_black_are_no_bits_of_a_mirrored_code(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A bit that is always 1 before the others mirrors the code, so that mirrored frames decode."""
+    patterns = [*ENDS, *bits("x", 10, inverses=False), *bits("y", 9, inverses=False)]
+    source = camera.write(tmp_path / "frames", patterns, named("{:02d}.png"), mirrored)
+    assert imported(source) == 2
+    assert "give --flip x" in capsys.readouterr().err
+    assert imported(source, "--flip", "x", "--out", tmp_path / "out", "--quiet") == 0
+    assert list(open_capture(tmp_path / "out").patterns) == patterns
+
+
 def test_a_projector_that_the_codes_do_not_fit_is_refused(
     camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
