@@ -10,11 +10,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calib.numerics import Floats
-from scanner.recordings.clock_search import search_clocks
+from scanner.recordings.clock_search import criterion, search_clocks
 from scanner.recordings.clocks import Clocks
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
-from scanner.recordings.shares import ROBUST, loss, misfit, observe
+from scanner.recordings.shares import ROBUST, frames_come_unevenly, independent_shares, loss, mean_loss, misfit, observe
 from scanner.recordings.single_changes import with_scatter, with_shifts
 from scanner.recordings.start_marks import Loop
 from scanner.recordings.times_fit import fit_times
@@ -25,7 +25,30 @@ _MOST_ROUNDS, _SETTLED = 4, 0.1
 _TONE_PRIOR = ((2.2, 0.4), (0.0, 0.25))
 _TONE_BOUNDS = ((1.0, 4.0), (-0.9, 0.9))
 _TONE_STEPS = (0.02, 0.02)
+# Twice the scatter of changes around their times, in exposures: more leaves the exposure open.
+_SCATTERS, _MOST_SCATTER = 2.0, 0.1
+_SHORT_S = 0.001
 _INDEPENDENT = 300  # number of independent shares; those of neighbouring rows, and of curves of one kind, correlate
+
+
+def fit_times_and_clocks(
+    samples: VideoSamples, programme: Programme, loops: tuple[Loop, ...]
+) -> tuple[VideoSamples, Clocks]:
+    """The samples with the times of their frames that explain them better, as stamped or evenly, and the clocks.
+
+    Stamps may tell when a frame was handled, not when it was exposed.
+    """
+    fits = [(times, fit_clocks(times, programme, loops)) for times in (samples, samples.with_even_times()) if times]
+    if len(fits) == 1:
+        return fits[0]
+    shares = [observe(times, programme, clocks) for times, clocks in fits]
+    costs = [mean_loss(share, clocks) for share, (_, clocks) in zip(shares, fits, strict=True)]
+    best = costs.index(min(costs))
+    count = independent_shares(shares[best], fits[best][1])
+    criteria = [
+        criterion(cost, count, share, clocks) for cost, share, (_, clocks) in zip(costs, shares, fits, strict=True)
+    ]
+    return fits[criteria.index(min(criteria))]
 
 
 def fit_clocks(samples: VideoSamples, programme: Programme, loops: tuple[Loop, ...]) -> Clocks:
@@ -40,7 +63,13 @@ def fit_clocks(samples: VideoSamples, programme: Programme, loops: tuple[Loop, .
         if abs(clocks.exposure_s / before - 1) < _SETTLED:
             break
     clocks = fit_times(samples, observe(samples, programme, clocks), clocks)
-    return with_scatter(observe(samples, programme, clocks), clocks)
+    shares = observe(samples, programme, clocks)
+    clocks = with_scatter(shares, clocks)
+    if _SCATTERS * clocks.scatter_s < _MOST_SCATTER * clocks.exposure_s or not frames_come_unevenly(shares, clocks):
+        return clocks
+    # Changes that come off their time blur the shares as a longer exposure does, or are taken for late pictures.
+    least, greatest = clocks.exposures_s
+    return replace(clocks, exposures_s=(min(least, _SHORT_S), max(greatest, samples.frame_interval_s)))
 
 
 def _fit_tone(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Clocks:

@@ -16,7 +16,7 @@ import numpy as np
 from calib.numerics import Floats
 from scanner.recordings.clocks import Clocks
 from scanner.recordings.samples import VideoSamples
-from scanner.recordings.shares import Shares, independent_shares, loss, misfit
+from scanner.recordings.shares import Shares, independent_shares, loss, mean_loss, misfit
 from scanner.recordings.single_changes import with_shifts
 from scanner.recordings.start_marks import Loop
 from scanner.recordings.times_fit import fit_times
@@ -39,18 +39,18 @@ def search_clocks(samples: VideoSamples, shares: Shares, clocks: Clocks) -> Cloc
     for start in (clocks, *_starts(samples, thin, clocks)):
         shifted = with_shifts(thin, fit_times(samples, thin, start))
         fits.append(fit_times(samples, shares, shifted))
-    costs = [float(loss(misfit(shares, fit)).sum()) for fit in fits]
+    costs = [mean_loss(shares, fit) for fit in fits]
     independent = independent_shares(shares, fits[int(np.argmin(costs))])
-    informative = shares.weight_of_changes > 0
-    criteria = []
-    for cost, fit in zip(costs, fits, strict=True):
-        shifts = np.count_nonzero(np.concatenate(fit.shifts_s)[informative])
-        criteria.append(independent * math.log(max(cost, 1e-12)) + shifts * math.log(independent))
+    criteria = [criterion(cost, independent, shares, fit) for cost, fit in zip(costs, fits, strict=True)]
     least = min(criteria)
-    exposures_s = [
-        fit.exposure_s for criterion, fit in zip(criteria, fits, strict=True) if criterion < least + _AS_LIKELY
-    ]
+    exposures_s = [fit.exposure_s for value, fit in zip(criteria, fits, strict=True) if value < least + _AS_LIKELY]
     return replace(fits[criteria.index(least)], exposures_s=(min(exposures_s), max(exposures_s)))
+
+
+def criterion(cost: float, independent: float, shares: Shares, clocks: Clocks) -> float:
+    """Of clocks that leave a mean `cost` of so many `independent` shares; each shifted change is a parameter."""
+    shifts = np.count_nonzero(np.concatenate(clocks.shifts_s)[shares.weight_of_changes > 0])
+    return independent * math.log(max(cost, 1e-15)) + shifts * math.log(independent)
 
 
 def _starts(samples: VideoSamples, shares: Shares, clocks: Clocks) -> list[Clocks]:

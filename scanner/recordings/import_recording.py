@@ -11,7 +11,7 @@ from scanner.capture import CAPTURE_FILE, SMOOTH_KEY
 from scanner.io import flow_yaml, write_png
 from scanner.patterns import FORMAT, frame_line, size_to_dict
 from scanner.recordings.averaging import average, image_of
-from scanner.recordings.clock_fit import fit_clocks
+from scanner.recordings.clock_fit import fit_times_and_clocks
 from scanner.recordings.clocks import Clocks, exposure_text
 from scanner.recordings.noise import noise_of
 from scanner.recordings.programme import Programme
@@ -25,10 +25,11 @@ from scanner.results import finding_entries
 from scanner.ui import Progress
 
 _PPM = 1e6
+_UNEVEN_MS = 0.3  # scatter of changes
 
 OPEN_EXPOSURE = FindingKind(
     "open-exposure",
-    "A film does not determine its exposure; the capture is the same with any that explains it.",
+    "A film does not determine its exposure.",
 )
 LATE_CHANGES = FindingKind(
     "late-changes",
@@ -69,7 +70,7 @@ def import_recording(path: Path, programme: Programme, folder: Path, progress: P
     samples = take_samples(video, progress)
     found = find_loops(samples, programme)
     with progress.step("Finding both clocks"):
-        clocks = fit_clocks(samples, programme, found.loops)
+        samples, clocks = fit_times_and_clocks(samples, programme, found.loops)
         weights = picture_weights(samples, programme, clocks)
     whites = white_frames(samples, programme, clocks)
     averaged = average(video, weights, clocks.tone, len(samples.times_s), whites, progress)
@@ -138,13 +139,20 @@ def _exposure(clocks: Clocks, height: int) -> dict[str, object]:
 
 
 def _on_exposure(clocks: Clocks) -> Iterator[Finding]:
-    if not clocks.has_exposure:
-        yield Finding(
-            OPEN_EXPOSURE,
-            Severity.NOTE,
-            f"Exposures {exposure_text(clocks)} explain the film alike, with a readout in proportion: pictures changed "
-            "at the same moments of the frames throughout. The capture is the same with any of them.",
+    if clocks.has_exposure:
+        return
+    scatter_ms = 1e3 * clocks.scatter_s
+    if scatter_ms >= _UNEVEN_MS:
+        message = (
+            f"The exposure is not determined: pictures changed {scatter_ms:.1f} ms off their time (root mean square), "
+            "as where frames come unevenly. Frames next to a change are left out."
         )
+    else:
+        message = (
+            f"Exposures {exposure_text(clocks)} explain the film alike, with a readout in proportion: pictures changed "
+            "at the same moments of the frames throughout. The capture is the same with any of them."
+        )
+    yield Finding(OPEN_EXPOSURE, Severity.NOTE, message)
 
 
 def _on_changes(clocks: Clocks) -> Iterator[Finding]:

@@ -2,7 +2,7 @@
 camera.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,6 +20,8 @@ Light = NDArray[np.float32]
 _ROWS, _COLUMNS = 40, 64
 _EDGE = 0.02  # share of the height, above and below, that is hardly lit
 _SEED = 1
+_UNEVEN_S, _MOST_UNEVEN = 2e-4, 0.45  # deviations of stamps: mean of even ones, and the largest in frame intervals
+_FIRST_FRAMES = 16
 _LIT = 0.25  # share of the range of the best lit samples
 _WELL_LIT = 98.0
 _LEAST_RANGE = 0.04  # share of the luma range; less is noise
@@ -48,6 +50,22 @@ class VideoSamples:
     def frame_interval_s(self) -> float:
         """The usual one."""
         return float(np.median(np.diff(self.times_s)))
+
+    def with_even_times(self) -> "VideoSamples | None":
+        """With times of frames that came evenly, but for lost ones; None if they are even, or could not have been."""
+        first, times = 0.0, self.times_s
+        interval, known = self.frame_interval_s, _FIRST_FRAMES
+        while True:
+            numbers = np.rint((times[:known] - times[0] - first) / interval)
+            interval, first = np.polyfit(numbers, times[:known] - times[0], 1).tolist()
+            if known >= len(times):
+                break
+            known *= 2
+        even = times[0] + first + interval * numbers
+        off = np.abs(times - even)
+        if off.max() > _MOST_UNEVEN * interval or np.any(np.diff(numbers) < 1) or np.mean(off) < _UNEVEN_S:
+            return None
+        return replace(self, times_s=even)
 
     @cached_property
     def range(self) -> Floats:

@@ -92,21 +92,39 @@ def after_changes(shares: Shares, clocks: Clocks) -> Floats:
 
 def independent_shares(shares: Shares, clocks: Clocks) -> float:
     """Number of independent shares as uncertain as all of them, whose misfits are alike where rows were exposed at the
-    same time after a change: projectors respond, and cameras sharpen, as no clocks predict.
+    same time after a change: projectors respond, and cameras sharpen, as no clocks predict; or in all of a frame that
+    came off its time.
 
     From the design effect of cluster samples (Kish, "Survey Sampling", 1965), without outliers.
     """
-    off = np.clip(misfit(shares, clocks), -ROBUST, ROBUST)
-    after = after_changes(shares, clocks).ravel()
-    order = np.argsort(after)
-    together = [off.reshape(-1, 2)[part].sum(axis=0) for part in np.array_split(order, _CLUSTERS)]
-    effect = float(np.sum(np.square(together)) / max(np.sum(off**2), 1e-300))
+    effect = max(_design_effects(shares, clocks))
     return max(np.count_nonzero(shares.weight) / max(effect, 1.0), 2.0)
+
+
+def frames_come_unevenly(shares: Shares, clocks: Clocks) -> bool:
+    """Whether misfits are alike within frames rather than at one time after changes."""
+    at_a_time, of_a_frame = _design_effects(shares, clocks)
+    return of_a_frame > max(at_a_time, 1.0)
+
+
+def _design_effects(shares: Shares, clocks: Clocks) -> tuple[float, float]:
+    """Of clusters of shares at one time after changes, and in one frame."""
+    off = np.clip(misfit(shares, clocks), -ROBUST, ROBUST)
+    order = np.argsort(after_changes(shares, clocks).ravel())
+    square = max(float(np.sum(off**2)), 1e-300)
+    at_a_time = np.array([off.reshape(-1, 2)[part].sum(axis=0) for part in np.array_split(order, _CLUSTERS)])
+    of_a_frame: Floats = off.reshape(len(off), -1).sum(axis=1)
+    return float(np.sum(at_a_time**2)) / square, float(np.sum(of_a_frame**2)) / square
 
 
 def loss(off: Floats) -> Floats:
     """Soft L1, as `least_squares` has it."""
     return 2 * ROBUST**2 * (np.sqrt(1 + (off / ROBUST) ** 2) - 1)
+
+
+def mean_loss(shares: Shares, clocks: Clocks) -> float:
+    """Of shares with a weight."""
+    return float(loss(misfit(shares, clocks)).sum()) / max(int(np.count_nonzero(shares.weight)), 1)
 
 
 def _picture(samples: VideoSamples, clocks: Clocks, begins: float, ends: float) -> tuple[Light, Bools]:

@@ -21,9 +21,10 @@ BIT_RATE = 1.5e6
 
 @dataclass
 class FilmedRoom:
-    """`folder` receives the video, its sequence.yaml and the recordings."""
+    """`folder` receives the video, its sequence.yaml and the recordings; pictures last `hold_s`."""
 
     folder: Path
+    hold_s: float = 0.1
     seen: dict[bytes, Light] = field(default_factory=dict)
 
     @cached_property
@@ -33,7 +34,7 @@ class FilmedRoom:
 
     @cached_property
     def programme(self) -> Programme:
-        return programme_of(PRESETS["quick"].patterns(PROJECTOR), Size(*PROJECTOR), 0.1, 1)
+        return programme_of(PRESETS["quick"].patterns(PROJECTOR), Size(*PROJECTOR), self.hold_s, 1)
 
     @cached_property
     def sequence(self) -> Path:

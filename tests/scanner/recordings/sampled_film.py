@@ -35,6 +35,8 @@ class FilmClocks:
     late: Sequence[int] = ()  # changes of the picture that came a refresh late
     dropped: Sequence[int] = ()  # frames
     loops: int = 1
+    uneven_stamps_s: float = 0.0  # most by which a frame's stamp is off
+    uneven_frames_s: float = 0.0  # most by which its exposure is
 
 
 def sample_film(clocks: FilmClocks, seed: int = 0) -> tuple[Programme, VideoSamples]:
@@ -53,7 +55,9 @@ def sample_film(clocks: FilmClocks, seed: int = 0) -> tuple[Programme, VideoSamp
     changes = LEAD_IN_S + np.arange(len(lights) - 1) * programme.hold_s - clocks.start_s
     changes[list(clocks.late)] += 1 / _REFRESH_HZ
     numbers = np.setdiff1d(np.arange(int((programme.length_s - clocks.start_s) * clocks.rate)), clocks.dropped)
-    begins = numbers[:, None] / clocks.rate * (1 + clocks.fast) + rows / SIZE.height * clocks.readout_s
+    off = np.random.default_rng(seed + 1).uniform(-1, 1, len(numbers))
+    exposed = numbers / clocks.rate * (1 + clocks.fast) + clocks.uneven_frames_s * off
+    begins = exposed[:, None] + rows / SIZE.height * clocks.readout_s
     codes = np.empty((len(numbers), _ROWS, _COLUMNS), np.uint8)
     for frame, since in enumerate(begins):
         first, last = np.searchsorted(changes, (since.min() - _REACH_S, since.max() + _REACH_S))
@@ -65,7 +69,7 @@ def sample_film(clocks: FilmClocks, seed: int = 0) -> tuple[Programme, VideoSamp
         light += _SHOT_NOISE * np.sqrt(light) * rng.standard_normal(light.shape)
         codes[frame] = np.rint(16 + 219 * _srgb(np.clip(light, 0, 1)))
     video = VideoFile(Path("film.mp4"), SIZE, 0, LumaCodes(16, 235), len(numbers), programme.length_s)
-    return programme, VideoSamples(codes, numbers / clocks.rate, rows, video)
+    return programme, VideoSamples(codes, numbers / clocks.rate + clocks.uneven_stamps_s * off, rows, video)
 
 
 def _srgb(light: Floats) -> Floats:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scanner.recordings.clock_fit import fit_clocks
+from scanner.recordings.clock_fit import fit_clocks, fit_times_and_clocks
 from scanner.recordings.clocks import Clocks
 from scanner.recordings.start_marks import find_loops
 from tests.scanner.recordings.sampled_film import SIZE, FilmClocks, sample_film
@@ -60,3 +60,38 @@ def test_an_exposure_that_a_film_does_not_determine_is_a_range() -> None:
     assert not fit.has_exposure
     assert 0.0005 < least < 0.0065
     assert 0.0095 < greatest < 0.018
+
+
+@pytest.mark.parametrize("dropped", [(), (30, 31, 60)])
+def test_uneven_stamps_of_frames_that_came_evenly_are_no_times(dropped: tuple[int, ...]) -> None:
+    clocks = FilmClocks(NTSC, 0.010, 0.012, fast=9e-6, uneven_stamps_s=0.004, dropped=dropped)
+    programme, samples = sample_film(clocks)
+
+    even, fit = fit_times_and_clocks(samples, programme, find_loops(samples, programme).loops)
+
+    assert 1e-3 < np.abs(even.times_s - samples.times_s).max() < 5e-3
+    assert np.diff(even.times_s).min() == pytest.approx(1 / NTSC, rel=1e-3)
+    assert fit.has_exposure
+    assert fit.exposure_s == pytest.approx(clocks.exposure_s, rel=0.06)
+    assert SIZE.height * fit.line_s == pytest.approx(clocks.readout_s, rel=0.06)
+    assert not np.any(fit.shifts_s)
+
+
+def test_right_stamps_of_frames_that_came_unevenly_are_kept() -> None:
+    programme, samples = sample_film(replace(USUAL, uneven_frames_s=0.004, uneven_stamps_s=0.004))
+
+    kept, fit = fit_times_and_clocks(samples, programme, find_loops(samples, programme).loops)
+
+    assert kept is samples
+    assert fit.exposure_s == pytest.approx(USUAL.exposure_s, rel=0.03)
+
+
+@pytest.mark.parametrize("clocks", [USUAL, FilmClocks(NTSC, 0.010, 0.012, fast=9e-6)])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_an_exposure_is_open_where_frames_came_unevenly_and_no_stamp_says_so(clocks: FilmClocks, seed: int) -> None:
+    programme, samples = sample_film(replace(clocks, uneven_frames_s=0.004), seed)
+
+    _, fit = fit_times_and_clocks(samples, programme, find_loops(samples, programme).loops)
+
+    assert not fit.has_exposure
+    assert fit.exposures_s[0] < clocks.exposure_s < fit.exposures_s[1]

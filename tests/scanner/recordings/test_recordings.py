@@ -51,6 +51,19 @@ def test_the_clock_of_a_phone_is_estimated_and_its_film_decodes(
     assert all(3 <= frame["averaged"] <= 6 and frame["alone"] == 1 and 1e-4 < frame["noise"] < 0.02 for frame in frames)
 
 
+def test_a_film_at_the_rate_of_television(tmp_path: Path) -> None:
+    """A change wraps once round the frame, and half the exposure would fit all others."""
+    filmed = FilmedRoom(tmp_path, hold_s=0.2)
+    camera = Camera(rate=60_000 / 1001, exposure_s=0.01, readout_s=0.012, fast=9e-6, bit_rate=2 * BIT_RATE)
+    found = imported(filmed, filmed.film("television.mp4", camera), tmp_path / "capture")
+    # As above, 2 ms of answer and 8 ms of scanning out.
+    assert 10 < found["exposure_ms"] < 13
+    assert 2.5 < found["readout_ms"] < 5.5
+    assert -150 < found["projector_slower_ppm"] < 100
+    assert not found["findings"]
+    assert 0.005 < median_error_px(filmed, tmp_path / "capture") < 0.12
+
+
 def test_a_film_in_ten_bits_with_repeated_frames(filmed: FilmedRoom, tmp_path: Path) -> None:
     camera = Camera(
         rate=25, exposure_s=1 / 200, ten_bit=True, bit_rate=BIT_RATE, tone="filmic", repeated=(100, 101, 151)
