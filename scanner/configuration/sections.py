@@ -4,15 +4,17 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from calib.geometry import Size
 from calib.refinement import DECENTERING, SQUARENESS_DEG, THIRD_RADIAL
 from hw.settings import Settings
-from scanner.io import Flag, Metres, Number, Pair, Whole, refuse_more_pixels
+from scanner.errors import InputError
+from scanner.io import LONGEST_M, SHORTEST_M, Flag, Metres, Number, Pair, Whole, refuse_more_pixels
 from scanner.patterns import PRESETS, Code, Pattern, Preset, PresetName, ProjectorResponse
+from scanner.quantities import parse_length
 
 _LARGEST_SIDE_PX = 32768
 _MOST_DEVICES = 8
@@ -212,12 +214,43 @@ class CharucoSettings(Settings):
         return int(self.board.partition("x")[2])
 
 
+class _Usual(NamedTuple):
+    """Lengths in metres that need no unit; others are written with theirs."""
+
+    shortest_m: float
+    longest_m: float
+
+    def read(self, value: Any) -> Any:
+        """A length with any unit, or a number, in metres. Raises ValueError for a number that is not usual."""
+        if isinstance(value, str):
+            try:
+                return parse_length(value, "m")
+            except InputError as error:
+                raise ValueError(str(error)) from error
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if is_number and SHORTEST_M <= value <= LONGEST_M and not self.shortest_m <= value <= self.longest_m:
+            raise ValueError(
+                f"{value:g} without a unit are metres, where {self.shortest_m:g} to {self.longest_m:g} m are usual: "
+                f"write {value:g}mm for millimetres, or {value:g}m if it is so"
+            )
+        return value
+
+    def write(self, value: float | None) -> float | str | None:
+        """What `read` takes."""
+        return value if value is None or self.shortest_m <= value <= self.longest_m else f"{value!r}m"
+
+
+_OF_BASELINE, _TO_CORNER = _Usual(0.005, 20.0), _Usual(0.05, 100.0)
+Baseline = Annotated[Metres | None, BeforeValidator(_OF_BASELINE.read), PlainSerializer(_OF_BASELINE.write)]
+ToCorner = Annotated[Metres | None, BeforeValidator(_TO_CORNER.read), PlainSerializer(_TO_CORNER.write)]
+
+
 class ScaleSettings(Settings):
     """One known length; without it, the baseline is the unit."""
 
-    baseline_m: Metres | None = Field(default=None, description="Distance from camera to projector.")
-    camera_to_corner_m: Metres | None = Field(
-        default=None, description="Distance from the camera to the corner's vertex."
+    baseline_m: Baseline = Field(default=None, description="Distance from camera to projector, as in 0.52 or 520mm.")
+    camera_to_corner_m: ToCorner = Field(
+        default=None, description="Distance from the camera to the corner's vertex, as in 2.5 or 250cm."
     )
     sigma_m: Number | None = Field(
         default=None, ge=1e-9, le=1e4, description="Standard deviation of that length; default: exact."

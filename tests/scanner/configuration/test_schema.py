@@ -87,6 +87,16 @@ def test_earlier_results_are_beside_the_configuration(tmp_path: Path) -> None:
     assert load_config(None, ["earlier=[one]"]).earlier == (Path("one"),)
 
 
+@pytest.mark.parametrize(
+    ("given", "metres"), [("0.52", 0.52), ("520mm", 0.52), ("52 cm", 0.52), ("520m", 520.0), ("2mm", 0.002)]
+)
+def test_lengths_take_units_and_are_read_again(tmp_path: Path, given: str, metres: float) -> None:
+    config = load(tmp_path, f"scale: {{baseline_m: {given}}}")
+    assert config.scale is not None
+    assert config.scale.baseline_m == pytest.approx(metres, rel=1e-12)
+    assert type(config.scale).model_validate(config.scale.model_dump()) == config.scale
+
+
 def test_an_override_can_remove_a_section(tmp_path: Path) -> None:
     assert load(tmp_path, "scale: {baseline_m: 1}", "scale=null").scale is None
 
@@ -143,6 +153,8 @@ WRONG = [
     Wrong("earlier: [3]", ("'earlier[0]'", "3")),
     Wrong("earlier: scans/one", ("'earlier' must be a list", "'scans/one'")),
     Wrong("scale: {baseline_m: 0}", ("'scale.baseline_m'", "greater than or equal to 0.000001")),
+    Wrong("scale: {baseline_m: 520}", ("'scale.baseline_m'", "520mm for millimetres", "520m if it is so")),
+    Wrong("scale: {baseline_m: 0.5 ells}", ("'scale.baseline_m'", "'ells' is not known")),
     Wrong("scale: {baseline_m: 1, camera_to_corner_m: 2}", ("'scale'", "not both")),
     Wrong("method: paper\nmethod: refined", ("line 2", "'method'", "twice")),
     Wrong("camera: {width: 640, width: 320, height: 480}", ("line 1", "'width'", "twice")),
@@ -229,7 +241,7 @@ def test_a_known_principal_point_must_fit_the_images(tmp_path: Path, size: Size,
             "projector": st.fixed_dictionaries({"width": st.integers(16, 9999), "height": st.integers(16, 9999)}),
             "method": st.sampled_from(["refined", "paper"]),
             "corner": st.fixed_dictionaries({"squareness_deg": st.floats(0, 10), "same": st.booleans()}),
-            "scale": st.fixed_dictionaries({"baseline_m": st.floats(1e-3, 1e3)}),
+            "scale": st.fixed_dictionaries({"baseline_m": st.floats(0.005, 20)}),
             "sequence": st.fixed_dictionaries(
                 {
                     "periods": st.lists(st.floats(8, 64), min_size=1, max_size=3, unique=True),
