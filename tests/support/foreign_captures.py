@@ -45,8 +45,8 @@ class Photographer:
         return folder
 
 
-def photographer(camera: tuple[int, int], projector: tuple[int, int]) -> Photographer:
-    settings = SimulatedRigSettings(seed=0, albedo=0.5, furniture=False)
+def photographer(camera: tuple[int, int], projector: tuple[int, int], seed: int = 0) -> Photographer:
+    settings = SimulatedRigSettings(seed=seed, albedo=0.5, furniture=False)
     return Photographer(SimulatedRoom(settings, camera, projector), projector)
 
 
