@@ -22,7 +22,7 @@ from hw.cameras import CameraInfo, refuse_other_setting, refuse_other_size
 from hw.errors import DeviceError
 from hw.motion_jpeg import MotionJpegStream, open_motion_jpeg
 from hw.rig import Capabilities, Frame
-from hw.settings import CameraRigSettings
+from hw.settings import CameraRigSettings, without_passwords
 from hw.timing.devices import whole_periods
 from hw.timing.frame_reader import FrameReader
 
@@ -128,7 +128,7 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
         self.size = size
         self.average = settings.average
         self._local = isinstance(settings.camera, int)
-        self.name = f"webcam {settings.camera}" if self._local else str(settings.camera)
+        self.name = f"webcam {settings.camera}" if self._local else without_passwords(str(settings.camera))
         self._refresh_hz = refresh_hz
         self._capture: cv2.VideoCapture | MotionJpegStream = self._connected(settings.camera)
         try:

@@ -1,10 +1,17 @@
 """What can be configured about a rig. The field descriptions become the configuration reference."""
 
+import re
 from typing import ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 _PLACES_BEFORE_A_CORNER = 8
+_PASSWORD = re.compile(r"""(?<=://)([^\s/@:"']*):[^\s/"']*@""")
+
+
+def without_passwords(text: str) -> str:
+    """A text without the passwords of the addresses in it, as of http://user:password@host."""
+    return _PASSWORD.sub(r"\1@", text)
 
 
 class Settings(BaseModel):

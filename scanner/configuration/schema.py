@@ -1,5 +1,6 @@
 """The configuration: YAML and `--set KEY=VALUE` → typed, validated, immutable settings."""
 
+import json
 import re
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
@@ -11,7 +12,7 @@ from pydantic import Field, model_validator
 from calib.geometry import Size
 from calib.self_calibration import PrincipalPoint
 from hw.backends import RigSettings
-from hw.settings import CameraRigSettings, Settings
+from hw.settings import CameraRigSettings, Settings, without_passwords
 from scanner.configuration.sections import (
     CameraSettings,
     CornerSettings,
@@ -74,8 +75,8 @@ class Config(Settings):
 
     @property
     def recorded(self) -> dict[str, Any]:
-        """Return the settings in the form written into a recording, which `recorded_config` reads back."""
-        data = self.model_dump(mode="json", exclude_unset=True, by_alias=True)
+        """The settings as written into a recording, without passwords, which `recorded_config` reads back."""
+        data = json.loads(without_passwords(self.model_dump_json(exclude_unset=True, by_alias=True)))
         if self.lens.source is not None:
             data["lens"] = {"from": str(self.lens.source.absolute())}
         return data | ({"earlier": [str(path.absolute()) for path in self.earlier]} if self.earlier else {})

@@ -1,5 +1,6 @@
 """Provenance of a page or a file, for readers years later."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -7,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from hw.settings import without_passwords
 from scanner.configuration import Config
 from scanner.results.unfinished import published_name
 
@@ -40,5 +42,5 @@ class Provenance:
 
 def provenance(folder: Path, config: Config) -> Provenance:
     """Return the provenance of the result being made in `folder`, as of now."""
-    settings = config.model_dump(mode="json", exclude_unset=True)
+    settings = json.loads(without_passwords(config.model_dump_json(exclude_unset=True)))
     return Provenance(published_name(folder), datetime.now(UTC), f"roomscan {version('roomscan')}", settings)

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from calib.refusal import RefusalError
+from hw.settings import without_passwords
 from scanner.configuration import Config
 from scanner.errors import InputError, StorageError, cannot_write, is_of_the_disk
 from scanner.interruption import finishing
@@ -49,7 +50,8 @@ def new_result(
     with output, LogFile(output.folder / LOG_FILE):
         for sentence in output.settled:
             log.info(sentence)
-        log.info("scan %s with the configuration %s", version("roomscan"), config.model_dump_json(exclude_unset=True))
+        settings = without_passwords(config.model_dump_json(exclude_unset=True))
+        log.info("scan %s with the configuration %s", version("roomscan"), settings)
         yield output.folder
 
 

@@ -13,6 +13,7 @@ from scanner.configuration.schema import Config, load_config
 from scanner.errors import InputError
 from scanner.io import known_keys
 from scanner.patterns import sequence_for
+from scanner.results import provenance
 from tests.support.places import ROOT
 
 ROOM_SIM = ROOT / "configs" / "room-sim.yaml"
@@ -78,6 +79,14 @@ def test_overrides_reach_every_depth_and_are_yaml(tmp_path: Path) -> None:
     assert config.scale is not None
     assert config.scale.baseline_m == 0.4
     assert config.corner.same is False
+
+
+def test_passwords_of_cameras_are_recorded_nowhere(tmp_path: Path) -> None:
+    config = load(tmp_path, "rig: {backend: opencv, camera: 'http://anna:s%40cr:t@10.0.0.9:8080/video?a=b@c'}")
+    assert config.recorded["rig"]["camera"] == "http://anna@10.0.0.9:8080/video?a=b@c"
+    settings = provenance(tmp_path, config).configuration
+    assert "s%40cr" not in str(settings)
+    assert "anna" in str(settings)
 
 
 def test_earlier_results_are_beside_the_configuration(tmp_path: Path) -> None:
