@@ -76,7 +76,8 @@ class Config(Settings):
     @property
     def recorded(self) -> dict[str, Any]:
         """The settings as written into a recording, without passwords, which `recorded_config` reads back."""
-        data = json.loads(without_passwords(self.model_dump_json(exclude_unset=True, by_alias=True)))
+        text = self.model_dump_json(exclude_unset=True, by_alias=True)
+        data: dict[str, Any] = json.loads(without_passwords(text))
         if self.lens.source is not None:
             data["lens"] = {"from": str(self.lens.source.absolute())}
         return data | ({"earlier": [str(path.absolute()) for path in self.earlier]} if self.earlier else {})
