@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from calib.numerics import processors, use_processors
-from scanner.commands.main import main
+from scanner.commands import main
 from tests.support.small_room import CONFIG, with_few_rays
 
 NUMBERS = ("cloud.ply", "matches.npz", "calibration.yaml")

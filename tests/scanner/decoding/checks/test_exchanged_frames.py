@@ -146,10 +146,9 @@ def test_the_finest_bit_shown_by_the_one_before_it(inverses: bool) -> None:
     scene = replace(SCENE, camera=(300, 225), indirect=0.15)
     frames = scene.frames(patterns)
     last = max(p.bit for p in patterns if isinstance(p, Gray) and p.axis == "x")
-    for inverted in (False, True)[: 1 + inverses]:
-        frames[index(patterns, "x", last, inverted=inverted)] = frames[
-            index(patterns, "x", last - 1, inverted=inverted)
-        ]
+    for inverted in (False, True)[: 1 + inverses]:  # with noise of its own: a copy of the frame is told apart as late
+        place, before = (index(patterns, "x", bit, inverted=inverted) for bit in (last, last - 1))
+        frames[place] = scene.frame(patterns[before], place)
     with pytest.raises(InputError, match=rf"cells of the Gray code do not follow.*gray x bit {last}\)"):
         decode(patterns, frames, SIZE)
 
