@@ -19,7 +19,7 @@ from pydantic import Field
 from calib.numerics import Image
 from hw.cameras import CameraInfo, not_found, refuse_other_setting, refuse_other_size
 from hw.errors import DeviceError, FrameLostError
-from hw.motion_jpeg import is_whole_jpeg
+from hw.jpeg import is_whole_jpeg
 from hw.optional_parts import GPHOTO2
 from hw.rig import Capabilities, Frame
 from hw.settings import USUAL_EXPOSURE_US, CameraRigSettings

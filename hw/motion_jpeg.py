@@ -22,32 +22,13 @@ import numpy as np
 from calib.numerics import Image
 from hw.cameras import refuse_other_size
 from hw.errors import DeviceError
+from hw.jpeg import is_whole_jpeg, jpeg_size
 
 _CHUNK = 1 << 16  # bytes
 _HEADERS_BYTES = 1 << 16  # of a part; also those of a picture's file
 _PIXEL_BYTES = 4  # noise at the highest quality needs fewer
-_START, _START_OF_SCAN, _END_OF_IMAGE = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"  # markers of ITU-T T.81, table B.1
-_FILL = 0xFF
-_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # starts of frames
 _UNAUTHORISED = 401
 _AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-
-
-def is_whole_jpeg(content: bytes) -> bool:
-    """Whether a JPEG file ends as one, and was not cut off."""
-    # The last scan is followed by the end of the image; a preview before it has its own of both (ITU-T T.81, annex B).
-    return content.startswith(_START) and content.rfind(_START_OF_SCAN) < content.rfind(_END_OF_IMAGE)
-
-
-def jpeg_size(content: bytes) -> tuple[int, int] | None:
-    """(width, height) in the header of a JPEG file, None if it has none."""
-    at = len(_START)
-    while at + 9 <= len(content) and content[at] == _FILL:
-        marker = content[at + 1]
-        if marker in _FRAMES:
-            return int.from_bytes(content[at + 7 : at + 9], "big"), int.from_bytes(content[at + 5 : at + 7], "big")
-        at += 1 if marker == _FILL else 2 + int.from_bytes(content[at + 2 : at + 4], "big")
-    return None
 
 
 def open_motion_jpeg(name: str, address: str, size: tuple[int, int], limit_s: float) -> "MotionJpegStream | None":

@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from scanner.commands import import_recording
+from scanner.decoding import describe_copies
 from scanner.errors import InputError
 from scanner.importing import (
     DIAMOND_ARRAYS,
@@ -139,10 +140,7 @@ def _only_one(
 def _copies(files: FrameFiles, samples: LevelSamples) -> str:
     """The frames that are the ones before them, and why, for a message."""
     names = [path.name for number, path in enumerate(files.numbered) if number in samples.copies]
-    if not names:
-        return ""
-    same = "is the frame before it" if len(names) == 1 else "are the frames before them"
-    return f"; {', '.join(names)} {same}, bit for bit: the projector was late, or the camera gave a picture twice"
+    return f"; {describe_copies(', '.join(names), len(names))}" if names else ""
 
 
 def _reasons(rejected: Sequence[Rejected]) -> str:

@@ -73,11 +73,14 @@ class Config(Settings):
         )
         return self.model_copy(update={"sequence": sequence})
 
+    def as_json(self, *, by_alias: bool = False) -> str:
+        """What was set, for files, pages and logs: without passwords."""
+        return without_passwords(self.model_dump_json(exclude_unset=True, by_alias=by_alias))
+
     @property
     def recorded(self) -> dict[str, Any]:
         """The settings as written into a recording, without passwords, which `recorded_config` reads back."""
-        text = self.model_dump_json(exclude_unset=True, by_alias=True)
-        data: dict[str, Any] = json.loads(without_passwords(text))
+        data: dict[str, Any] = json.loads(self.as_json(by_alias=True))
         if self.lens.source is not None:
             data["lens"] = {"from": str(self.lens.source.absolute())}
         return data | ({"earlier": [str(path.absolute()) for path in self.earlier]} if self.earlier else {})

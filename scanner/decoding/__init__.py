@@ -9,6 +9,7 @@ from scanner.decoding.finest_stripes import FinestStripes, first_harmonics
 from scanner.decoding.frame_corrections import FrameCorrections, corrections_of
 from scanner.decoding.fringes.single_fringe import UNCHECKED
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
+from scanner.decoding.late_frames import describe_copies
 from scanner.decoding.light.lit_pixels import saturation_level
 from scanner.decoding.mask_reasons import MaskReason, PixelFlags
 from scanner.decoding.motion import SUSPECTED_PX, UNSEEN_MOTION, moved

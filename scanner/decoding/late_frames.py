@@ -33,6 +33,12 @@ LATE_FRAMES = FindingKind(
 )
 
 
+def describe_copies(names: str, count: int) -> str:
+    """What frames of these names are that are the ones before them, and why."""
+    same = "is the frame before it" if count == 1 else "are the frames before them"
+    return f"{names} {same}, bit for bit: the projector was late, or the camera gave a picture twice"
+
+
 def is_copy(frame: Image, previous: Image) -> bool:
     """Whether two frames (H, W) are the same, bit for bit."""
     return np.array_equal(frame[::_ROWS], previous[::_ROWS]) and np.array_equal(frame, previous)
@@ -60,9 +66,7 @@ def patterns_without(
     """
     numbers = [plan.shown[place] for place in late]
     is_one = len(late) == 1
-    same = "is the frame before it" if is_one else "are the frames before them"
-    reason = "the projector was late, or the camera gave a picture twice"
-    problem = f"{plan.names(numbers)} {same}, bit for bit: {reason}"
+    problem = describe_copies(plan.names(numbers), len(late))
     kept = [place for place in range(len(plan.shown)) if place not in late]
     try:
         rest = usable([plan.patterns[plan.shown[place]] for place in kept], (), projector_size, calibrated=calibrated)

@@ -11,6 +11,7 @@ from typing import Any
 
 from PIL import Image, UnidentifiedImageError
 
+from hw.jpeg import START, is_whole_jpeg
 from scanner.io.given_file import MOST_IMAGE_BYTES
 from scanner.io.image_size import PNG_START, SCAN, UNREADABLE, segments
 from scanner.io.jpeg_check import problem_of_jpeg
@@ -27,10 +28,8 @@ def damage(data: bytes) -> str | None:
     """Return the damage of an image file, even one that OpenCV accepts; None if none is known."""
     if data.startswith(PNG_START):
         return _damage_of_png(data)
-    if data.startswith(b"\xff\xd8"):
-        # A size before a start of scan may be that of an embedded thumbnail.
-        end = data.rfind(b"\xff\xd9")
-        if end < 0 or b"\xff\xda" in data[end:]:
+    if data.startswith(START):
+        if not is_whole_jpeg(data):
             return "truncated, its end is missing"
         scans = sum(marker == SCAN for marker, _ in segments(data))
         return problem_of_jpeg(data) if scans <= _MOST_SCANS else f"its pixels are written {scans:,} times over"

@@ -16,9 +16,9 @@ from typing import Any
 from PIL import Image, TiffImagePlugin
 
 from calib.geometry import Size
+from hw.jpeg import FRAMES, START
 
 SCAN, END = 0xDA, 0xD9
-FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 PROGRESSIVE = {0xC2, 0xC6, 0xCA, 0xCE}
 _ALONE = {0x01, *range(0xD0, 0xD9)}
 # Within compressed data a 0xFF is followed by 0, or is a restart marker.
@@ -71,7 +71,7 @@ def size_in_header(data: bytes) -> tuple[Size, int] | None:
     measure: Callable[[bytes], tuple[int, int, int]] = _by_pillow
     if data.startswith(PNG_START):
         measure = _of_png
-    elif data.startswith(b"\xff\xd8"):
+    elif data.startswith(START):
         measure = _of_jpeg
     elif data.startswith(b"BM"):
         measure = _of_bmp

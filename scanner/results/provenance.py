@@ -8,7 +8,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from hw.settings import without_passwords
 from scanner.configuration import Config
 from scanner.results.unfinished import published_name
 
@@ -42,5 +41,5 @@ class Provenance:
 
 def provenance(folder: Path, config: Config) -> Provenance:
     """Return the provenance of the result being made in `folder`, as of now."""
-    settings = json.loads(without_passwords(config.model_dump_json(exclude_unset=True)))
+    settings = json.loads(config.as_json())
     return Provenance(published_name(folder), datetime.now(UTC), f"roomscan {version('roomscan')}", settings)

@@ -11,7 +11,6 @@ from types import TracebackType
 from typing import Self
 
 from calib.refusal import RefusalError
-from hw.settings import without_passwords
 from scanner.configuration import Config
 from scanner.errors import InputError, StorageError, cannot_write, is_of_the_disk
 from scanner.interruption import finishing
@@ -50,8 +49,7 @@ def new_result(
     with output, LogFile(output.folder / LOG_FILE):
         for sentence in output.settled:
             log.info(sentence)
-        settings = without_passwords(config.model_dump_json(exclude_unset=True))
-        log.info("scan %s with the configuration %s", version("roomscan"), settings)
+        log.info("scan %s with the configuration %s", version("roomscan"), config.as_json())
         yield output.folder
 
 

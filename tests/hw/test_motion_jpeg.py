@@ -18,7 +18,8 @@ import pytest
 
 from hw import opencv
 from hw.errors import DeviceError
-from hw.motion_jpeg import MotionJpegStream, is_whole_jpeg, jpeg_size, open_motion_jpeg
+from hw.jpeg import is_whole_jpeg, jpeg_size
+from hw.motion_jpeg import MotionJpegStream, open_motion_jpeg
 from hw.opencv import OpenCVRigSettings
 
 SIZE = (64, 48)

@@ -16,7 +16,7 @@ from scanner.commands import main
 from scanner.comparing import COMPARE_PAGE
 from scanner.results import LOG_FILE
 from scanner.viewing import escaped
-from tests.support.browsing import Served, visiting
+from tests.support.browsing import Served, Visit, visiting
 from tests.support.result_folder import write_result
 from tests.support.small_room import CONFIG
 
@@ -72,15 +72,20 @@ def harmless(browser: Browser) -> Iterator[Page]:
     page.close()
 
 
+def assert_shown_as_text(served: Served, visit: Visit) -> None:
+    """The page ran and fetched nothing, and the terminal got no control characters."""
+    assert_harmless(visit.page)
+    assert visit.foreign == []
+    code, output = served.interrupt()
+    assert code == 130
+    assert "\x1b" not in served.first_line + output
+
+
 def test_a_result_is_shown_as_text(folder: Path, browser: Browser) -> None:
     with Served(folder, "view", results(folder)[0]) as served, visiting(browser, served.address) as visit:
         visit.wait_for("Points, %")
         visit.wait_for("<img src=x onerror=")
-        assert_harmless(visit.page)
-        assert visit.foreign == []
-        code, output = served.interrupt()
-        assert code == 130
-        assert "\x1b" not in served.first_line + output
+        assert_shown_as_text(served, visit)
 
 
 def test_the_console_shows_names_as_text(folder: Path, browser: Browser) -> None:
@@ -91,11 +96,7 @@ def test_the_console_shows_names_as_text(folder: Path, browser: Browser) -> None
         visit.wait_for("<img src=x onerror=")
         visit.press("Open")
         visit.wait_for("Points, %")
-        assert_harmless(visit.page)
-        assert visit.foreign == []
-        code, output = served.interrupt()
-        assert code == 130
-        assert "\x1b" not in served.first_line + output
+        assert_shown_as_text(served, visit)
 
 
 def test_a_comparison_shows_names_as_text(
