@@ -8,6 +8,7 @@ from scanner.commands.command import AddArguments, Command
 from scanner.commands.rigs import RIGS
 from scanner.commands.shared_arguments import (
     add_calibration,
+    add_capture,
     add_config,
     add_flag,
     add_masks,
@@ -188,6 +189,7 @@ def of_export(parser: ArgumentParser) -> None:
     parser.add_argument("--to", required=True, choices=list(FORMATS), metavar="FORMAT", help=formats)
     what = "file to write, a folder for colmap and mapping"
     add_out(parser, what, default="beside the result", metavar="PATH")
+    add_capture(parser)
     add_number(parser, "--points", f"colmap: at most this many points (default: {DEFAULT_POINTS:,})")
     what = "mapping: the viewer's eye, in metres in the axes of mapping.glb, as in --eye=0.5,0.2,-1"
     add_text(parser, "--eye", "X,Y,Z", f"{what} (default: straight on to the largest wall)")

@@ -29,7 +29,7 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     with terminal.step("Exporting"):
         written = target.write(
-            ExportRequest(args.result, out, args.overwrite, args.points or DEFAULT_POINTS, eye, gamma)
+            ExportRequest(args.result, out, args.overwrite, args.capture, args.points or DEFAULT_POINTS, eye, gamma)
         )
     terminal.show(*written, f"Written: {out}", f"→ {target.opened_by}")
 

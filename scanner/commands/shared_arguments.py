@@ -8,6 +8,10 @@ def add_result(parser: ArgumentParser) -> None:
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder of a scan's result")
 
 
+def add_capture(parser: ArgumentParser, otherwise: str = "all of them") -> None:
+    add_number(parser, "--capture", f"one capture or station of several, by its number (default: {otherwise})")
+
+
 def add_config(parser: ArgumentParser, *, required: bool) -> None:
     parser.add_argument("--config", type=Path, metavar="FILE", required=required, help="configuration (YAML)")
     parser.add_argument(

@@ -3,17 +3,13 @@
 from scanner.exporting.formats import ExportRequest
 from scanner.io import copy_given, new_file, read_cloud
 from scanner.quantities import unit_name
-from scanner.results import CLOUD_FILE, read_finished_room, read_finished_scan
+from scanner.results import read_finished_result
 
 
 def export(request: ExportRequest) -> list[str]:
     """Copy the cloud. Raises InputError and OSError."""
-    room = read_finished_room(request.result)
-    if room is None:
-        scan = read_finished_scan(request.result)
-        cloud, count, unit = request.result / CLOUD_FILE, len(scan), scan.unit
-    else:
-        cloud, count, unit = room.cloud, len(read_cloud(room.cloud)), room.unit
+    result = read_finished_result(request.result, request.capture)
+    count = len(read_cloud(result.cloud))
     with new_file(request.out, overwrite=request.overwrite) as path:
-        copy_given(cloud, path)
-    return [f"{count:,} points in {unit_name(unit)}"]
+        copy_given(result.cloud, path)
+    return [f"{count:,} points{result.of_how_many} in {unit_name(result.unit)}"]

@@ -1,8 +1,8 @@
 """Calibration, poses and points as a COLMAP model in text form (cameras.txt, images.txt, points3D.txt).
 
-COLMAP's world is the camera's frame: x right, y down, z forward, as here; that of a whole room is the room's frame. Its
-pixels are not as here: the centre of the top left one is at (0.5, 0.5), so half a pixel is added to every principal
-point and every image point.
+COLMAP's world is the (newest) camera's frame: x right, y down, z forward, as here; that of a whole room is the room's
+frame. Its pixels are not as here: the centre of the top left one is at (0.5, 0.5), so half a pixel is added to every
+principal point and every image point.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import IDENTITY, Intrinsics, Pose
+from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats, Ints
 from scanner.exporting.formats import ExportRequest
 from scanner.io import new_files, refuse_existing
 from scanner.quantities import unit_name
-from scanner.results import FinishedScan, read_finished_room, read_finished_scan
+from scanner.results import FinishedScan, read_finished_result
 
 COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 CAMERA_ID, PROJECTOR_ID = 1, 2
@@ -45,16 +45,12 @@ class _Chosen:
 
 def export(request: ExportRequest) -> list[str]:
     """Write the model. Raises InputError and OSError."""
-    room = read_finished_room(request.result)
-    if room is None:
-        scans = [(read_finished_scan(request.result), IDENTITY)]
-    else:
-        scans = [(station.scan, station.place) for station in room.stations]
+    result = read_finished_result(request.result, request.capture)
+    scans = [(station.scan, station.place) for station in result.stations]
     model = write_colmap(request.out, scans, most_points=request.most_points, overwrite=request.overwrite)
     chosen = "all of them" if model.step == 1 else f"one for each {model.step} × {model.step} camera pixels"
-    total, stations = sum(len(scan) for scan, _ in scans), f" of {len(scans)} stations" if room else ""
-    unit = unit_name(scans[0][0].unit)
-    return [f"{model.points:,} of {total:,} points{stations} with their tracks ({chosen}), in {unit}"]
+    total, unit = sum(len(scan) for scan, _ in scans), unit_name(result.unit)
+    return [f"{model.points:,} of {total:,} points{result.of_how_many} with their tracks ({chosen}), in {unit}"]
 
 
 def write_colmap(

@@ -1,25 +1,26 @@
 """Write the cloud as ASTM E57, with pye57, an optional dependency.
 
 E57 is in metres, and the programs that read it take z for up. So the camera's axes (x right, y down, z forward) become
-x right, y forward, z up, with the origin at the camera's centre: upright if the camera was. A whole room has a scan for
-each station, with its pose in the room.
+x right, y forward, z up, with the origin at the (newest) camera's centre: upright if the camera was. Several captures
+are a scan each, with its pose; those of a whole room are in the room's frame.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Pose
+from calib.geometry import IDENTITY, Pose
 from calib.numerics import Floats
 from hw.optional_parts import E57
 from scanner.errors import InputError
 from scanner.exporting.formats import ExportRequest
 from scanner.exporting.units import in_metres, noted
 from scanner.io import new_file
-from scanner.results import FinishedScan, PlacedScan, read_finished_room, read_finished_scan
+from scanner.results import FinishedScan, PlacedScan, read_finished_result
 
 _Z_UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
@@ -27,16 +28,12 @@ _Z_UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]
 def export(request: ExportRequest) -> list[str]:
     """Write the cloud. Raises InputError and OSError."""
     refuse_without_pye57()
-    room = read_finished_room(request.result)
-    if room is None:
-        scan = read_finished_scan(request.result)
-        placed, unit = [PlacedScan("roomscan", request.result, Pose(_Z_UP_FROM_CAMERA, np.zeros(3)), scan)], scan.unit
-    else:
-        placed, unit = list(room.stations), room.unit
-    metres, findings = in_metres(unit)
+    result = read_finished_result(request.result, request.capture)
+    upright = IDENTITY if result.listing else Pose(_Z_UP_FROM_CAMERA, np.zeros(3))
+    metres, findings = in_metres(result.unit)
     with new_file(request.out, overwrite=request.overwrite) as path:
-        points = write_e57(path, placed, metres)
-    scans = f" of {len(placed)} stations, each a scan of its own" if room else ""
+        points = write_e57(path, [replace(scan, place=upright @ scan.place) for scan in result.stations], metres)
+    scans = f"{result.of_how_many}, each a scan of its own," if len(result.stations) > 1 else ""
     return [f"{points:,} points{scans} in metres", *noted(findings)]
 
 

@@ -12,17 +12,20 @@ DEFAULT_GAMMA = 2.2
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """An export and its destination. `result` is a result folder; `most_points` applies to formats that hold a subset
-    of the points. Of a mapping: `eye`, from where its content is seen, in metres in the axes of its GLB (None: straight
-    on), and `gamma` of its blend maps.
-    """
+    """An export and its destination."""
 
     result: Path
+    """A result folder."""
     out: Path
     overwrite: bool = False
+    capture: int | None = None
+    """The number of one capture or station, from 1; None: all of them."""
     most_points: int = DEFAULT_POINTS
+    """Of formats that hold a subset of the points."""
     eye: tuple[float, float, float] | None = None
+    """From where a mapping's content is seen, in metres in the axes of its GLB; None: straight on."""
     gamma: float = DEFAULT_GAMMA
+    """Of a mapping's blend maps."""
 
 
 @dataclass(frozen=True)

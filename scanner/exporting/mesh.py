@@ -8,42 +8,42 @@ from calib.finding import Finding
 from scanner.errors import InputError
 from scanner.exporting.formats import ExportRequest
 from scanner.exporting.glb import write_glb
-from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh, build_mesh
+from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh, build_joint_mesh
 from scanner.exporting.units import in_metres, noted
 from scanner.io import copy_given, new_file, write_ply
 from scanner.quantities import unit_name
-from scanner.results import OBJECT_FILE, OBJECT_MESH_FILE, ROOM_FILE, ROOM_MESH_FILE, read_finished_scan
+from scanner.results import read_finished_result
 
 _OBJ_LINES = 100_000
 
 
 def export(request: ExportRequest) -> list[str]:
     """Write the triangles. Raises InputError and OSError."""
-    for listing, name in ((ROOM_FILE, ROOM_MESH_FILE), (OBJECT_FILE, OBJECT_MESH_FILE)):
-        if (request.result / listing).is_file():
-            return _as_it_is(request, name)
-    scan = read_finished_scan(request.result)
-    mesh = build_mesh(scan)
-    unit, findings = unit_name(scan.unit), list[Finding]()
+    result = read_finished_result(request.result, request.capture)
+    if result.mesh is not None:
+        return _as_it_is(request, result.mesh)
+    mesh = build_joint_mesh(result.stations)
+    unit, findings = unit_name(result.unit), list[Finding]()
     with new_file(request.out, overwrite=request.overwrite) as path:
         match path.suffix.lower():
             case ".glb":
-                metres, findings = in_metres(scan.unit)
+                metres, findings = in_metres(result.unit)
                 unit = "metres"
                 write_glb(path, mesh, metres)
             case ".ply":
                 write_ply(path, mesh, triangles=mesh.triangles)
             case _:
                 write_mesh_obj(path, mesh)
-    return [f"{len(mesh.triangles):,} triangles between {len(mesh.points):,} points, in {unit}", *noted(findings)]
+    triangles = f"{len(mesh.triangles):,} triangles between {len(mesh.points):,} points"
+    return [f"{triangles}{result.of_how_many}, in {unit}", *noted(findings)]
 
 
-def _as_it_is(request: ExportRequest, name: str) -> list[str]:
-    """The mesh of a room or a thing is in its result already."""
+def _as_it_is(request: ExportRequest, mesh: Path) -> list[str]:
+    """The mesh of a room or an object is in its result already."""
     if request.out.suffix.lower() != ".glb":
         raise InputError(f"{request.out}: this result's mesh is exported as GLB: choose a name that ends in .glb")
     with new_file(request.out, overwrite=request.overwrite) as path:
-        copy_given(request.result / name, path)
+        copy_given(mesh, path)
     return ["the triangles, as they are in the result"]
 
 

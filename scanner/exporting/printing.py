@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.finding import Finding
 from calib.numerics import Floats, Ints
 from scanner.errors import InputError
 from scanner.exporting.formats import ExportRequest
-from scanner.exporting.triangles import Y_UP_FROM_CAMERA, build_mesh
+from scanner.exporting.triangles import Y_UP_FROM_CAMERA, build_joint_mesh
 from scanner.exporting.units import in_metres, noted
-from scanner.io import new_file, read_room, read_whole
-from scanner.results import OBJECT_FILE, OBJECT_MESH_FILE, ROOM_FILE, ROOM_MESH_FILE, read_finished_scan
+from scanner.io import new_file, read_whole
+from scanner.results import read_finished_result
 
 _MM = 1000.0
 _HEADER, _CHUNK = 12, 8  # bytes of a GLB
@@ -36,25 +35,20 @@ _RELATIONS = (
 
 def export(request: ExportRequest) -> list[str]:
     """Write the triangles. Raises InputError and OSError."""
-    points, triangles, findings = _in_metres(request.result)
+    result = read_finished_result(request.result, request.capture)
+    metres, findings = in_metres(result.unit)
+    if result.mesh is not None:
+        points, triangles = read_triangles(result.mesh)
+    else:
+        mesh = build_joint_mesh(result.stations)
+        points, triangles = metres * mesh.points * Y_UP_FROM_CAMERA, mesh.triangles
     points = _MM * points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]  # y up to z up
     with new_file(request.out, overwrite=request.overwrite) as path:
         if path.suffix.lower() == ".stl":
             write_stl(path, points, triangles)
         else:
             write_3mf(path, points, triangles)
-    return [f"{len(triangles):,} triangles, in millimetres", *noted(findings)]
-
-
-def _in_metres(result: Path) -> tuple[Floats, Ints, list[Finding]]:
-    """Points, y up, and triangles of a result; and sentences about it."""
-    for listing, name in ((ROOM_FILE, ROOM_MESH_FILE), (OBJECT_FILE, OBJECT_MESH_FILE)):
-        if (result / listing).is_file():
-            _, findings = in_metres(read_room(result / listing).unit)
-            return (*read_triangles(result / name), findings)
-    mesh = build_mesh(read_finished_scan(result))
-    metres, findings = in_metres(mesh.unit)
-    return metres * mesh.points * Y_UP_FROM_CAMERA, mesh.triangles, findings
+    return [f"{len(triangles):,} triangles{result.of_how_many}, in millimetres", *noted(findings)]
 
 
 def read_triangles(path: Path) -> tuple[Floats, Ints]:

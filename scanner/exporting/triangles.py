@@ -3,6 +3,7 @@
 Kazhdan and Hoppe, "Screened Poisson surface reconstruction", 2013.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib import open3d_module
+from calib.geometry import IDENTITY, Pose
 from calib.numerics import Floats, Ints
 from calib.pointcloud import SeenPoints, image_triangles
 from scanner.errors import InputError
-from scanner.results import FinishedScan
+from scanner.results import FinishedScan, PlacedScan
 
 
 def open3d() -> Any:
@@ -42,9 +44,22 @@ class Mesh:
     unit: str
 
 
-def build_mesh(scan: FinishedScan) -> Mesh:
-    """Triangles between neighbouring pixels; points without a triangle are dropped. Raises InputError if there is no
-    triangle.
+def build_joint_mesh(placed: Sequence[PlacedScan]) -> Mesh:
+    """The triangles of each scan, in the frame of their poses. Raises InputError."""
+    meshes = [build_mesh(station.scan, station.place) for station in placed]
+    starts = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
+    return Mesh(
+        np.concatenate([mesh.points for mesh in meshes]),
+        np.concatenate([mesh.normals for mesh in meshes]),
+        np.concatenate([mesh.colours for mesh in meshes]),
+        np.concatenate([start + mesh.triangles for start, mesh in zip(starts, meshes, strict=False)]),
+        meshes[0].unit,
+    )
+
+
+def build_mesh(scan: FinishedScan, place: Pose = IDENTITY) -> Mesh:
+    """Triangles between neighbouring pixels, moved by a pose; points without a triangle are dropped. Raises InputError
+    if there is no triangle.
     """
     focal_px = float(np.mean(scan.calibration.camera.focal_px))
     points = SeenPoints(scan.matches.camera_px, scan.points, scan.normals, focal_px)
@@ -57,7 +72,7 @@ def build_mesh(scan: FinishedScan) -> Mesh:
     used = np.zeros(len(scan.points), dtype=np.bool_)
     used[triangles.ravel()] = True
     corners = (np.cumsum(used, dtype=np.int32) - np.int32(1))[triangles]
-    return Mesh(scan.points[used], scan.normals[used], scan.colours[used], corners, scan.unit)
+    return Mesh(place @ scan.points[used], place.rotate(scan.normals[used]), scan.colours[used], corners, scan.unit)
 
 
 _Numbers = NDArray[np.floating]

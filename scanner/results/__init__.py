@@ -1,6 +1,12 @@
 """A result: its folder, its verdict, its metadata."""
 
-from scanner.results.finished_room import FinishedRoom, PlacedScan, read_finished_room
+from scanner.results.finished_result import (
+    FinishedResult,
+    PlacedScan,
+    capture_folders,
+    read_finished_result,
+    read_joined,
+)
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
 from scanner.results.leftovers import frames_in, kept_text, settle
 from scanner.results.names import (

@@ -10,7 +10,7 @@ from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, real_path
 from scanner.pipeline import decode_recording
 from scanner.reconstruction import read_captures
-from scanner.results import CAPTURES_FOLDER, Decoded, read_finished_room, read_uncertainty
+from scanner.results import CAPTURES_FOLDER, Decoded, read_joined, read_uncertainty
 from scanner.rooms.contents import RigStart
 from scanner.ui import Progress
 
@@ -41,7 +41,7 @@ def read_stations(
 
 
 def _stations_in(path: Path) -> list[Path]:
-    whole = read_finished_room(path)
+    whole = read_joined(path)
     if whole is not None:
         return [station.folder for station in whole.stations]
     if not path.exists():

@@ -20,17 +20,17 @@ from scanner.quantities import FACE_NAMES, device_names
 from scanner.rendering import photograph
 from scanner.results import (
     CALIBRATION_FILE,
-    CAPTURES_FOLDER,
     MERGED_FILE,
     POSES_FILE,
     TRUTH_FILE,
-    FinishedRoom,
+    FinishedResult,
     FinishedScan,
     Verdict,
+    capture_folders,
     place_camera,
     read_calibration_of,
-    read_finished_room,
     read_finished_scan,
+    read_joined,
     read_verdict,
 )
 from scanner.viewing.corner import MeasuredCorner, measured_corner
@@ -147,7 +147,7 @@ class ViewedResult:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.calibration = read_calibration_of(folder)
-        self._room = read_finished_room(folder)
+        self._room = read_joined(folder)
         truth = folder / TRUTH_FILE
         self.truth = read_calibration(truth) if truth.is_file() else None
         self.names = self._names()
@@ -161,7 +161,7 @@ class ViewedResult:
     def _names(self) -> tuple[str, ...]:
         """Return the names of the clouds, the best first."""
         if self._room is not None:
-            return (WHOLE_THING if self._room.is_thing else WHOLE_ROOM, *self._captures)
+            return (WHOLE_THING if self._room.is_object else WHOLE_ROOM, *self._captures)
         merged = (ALL_CAPTURES,) if (self.folder / MERGED_FILE).is_file() else ()
         return (*merged, *self._captures)
 
@@ -170,10 +170,8 @@ class ViewedResult:
         """Folders of the captures by their names, the newest first; of a room's stations in their order."""
         if self._room is not None:
             return {f"{n}: {station.name}": station.folder for n, station in enumerate(self._room.stations, start=1)}
-        older = [path for path in (self.folder / CAPTURES_FOLDER).glob("*") if path.name.isdecimal() and path.is_dir()]
-        older.sort(key=lambda path: int(path.name), reverse=True)
-        places = {len(older) + 1: self.folder} | {int(path.name): path for path in older}
-        return {self._title(number, len(places)): path for number, path in places.items()}
+        folders = capture_folders(self.folder)
+        return {self._title(n, len(folders)): path for n, path in reversed([*enumerate(folders, start=1)])}
 
     def _title(self, number: int, among: int) -> str:
         if self.calibration.one_camera:
@@ -203,17 +201,13 @@ class ViewedResult:
             scene,
         )
 
-    def _whole(self, room: FinishedRoom) -> ViewedCloud:
+    def _whole(self, room: FinishedResult) -> ViewedCloud:
         cloud = read_cloud(room.cloud)
         if not len(cloud):
             raise InputError(f"{room.cloud}: the cloud is empty")
         rigs = tuple(
-            PlacedRig(
-                scan.calibration,
-                station_with_scan.place,
-                _picture(station_with_scan.folder, scan),
-            )
-            for station_with_scan, scan in ((station, station.scan) for station in reversed(room.stations))
+            PlacedRig(scan.calibration, station.place, _picture(station.folder, scan))
+            for station, scan in ((station, station.scan) for station in reversed(room.stations))
         )
         up = np.array([0.0, 0.0, 1.0])
         return ViewedCloud(cloud.points, cloud.normals, cloud.colours, rigs, None, up, room.unit, "room")

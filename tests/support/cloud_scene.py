@@ -11,6 +11,7 @@ from tests.support.room import SPHERE, Ball, Placed, Room, seen
 CAMERA = Intrinsics(408, 342, (299.0, 299.0), (209.0, 176.0), (-0.05, 0.0, 0.0, 0.0, 0.0))
 PROJECTOR = Intrinsics(854, 480, (900.0, 900.0), (377.1, 234.0), (0.02, 0.0, 0.0, 0.0, 0.0))
 SPHERE_RADIUS_M = 0.15
+FIRST_PLACE = (1.5, 1.3, 1.2)
 
 
 @dataclass(frozen=True)
@@ -28,12 +29,19 @@ class Scene:
 
 
 def room(
-    camera: Intrinsics = CAMERA, projector: Intrinsics = PROJECTOR, noise_px: float = 0.05, seed: int = 0
+    camera: Intrinsics = CAMERA,
+    projector: Intrinsics = PROJECTOR,
+    noise_px: float = 0.05,
+    seed: int = 0,
+    at: tuple[float, float, float] = FIRST_PLACE,
 ) -> Scene:
-    """A concave corner 2.5 m away, a sphere in front of it, and a projector 0.4 m beside the camera."""
-    eye = Placed.looking(np.array([1.5, 1.3, 1.2]), np.array([0.3, 0.25, 0.25]))
+    """A concave corner 2.5 m away, a sphere in front of it, and a projector 0.4 m beside the camera, which is `at` a
+    place in the frame of the corner.
+    """
+    target = np.array([0.3, 0.25, 0.25])
     source = Placed.looking(np.array([1.75, 1.0, 1.3]), np.array([0.3, 0.2, 0.25]))
-    calibration = Calibration(camera, projector, eye.into(source), unit="m")
+    rig = Placed.looking(np.array(FIRST_PLACE), target).into(source)
+    calibration, eye = Calibration(camera, projector, rig, unit="m"), Placed.looking(np.array(at), target)
     corner = Corner(-eye.rotation @ eye.eye, eye.rotation.T.copy())
     ball = Ball(np.array([0.5, 0.4, 0.4]), SPHERE_RADIUS_M)
     view = seen(Room(ball=ball), calibration, eye)

@@ -10,7 +10,14 @@ from calib.numerics import Floats
 from scanner.errors import InputError
 from scanner.exporting.triangles import Mesh, build_mesh, mesh_of, reconstruct_surface
 from scanner.io import CloudPoints, StoredDevice, read_cloud, read_network
-from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, OBJECT_FILE, ROOM_FILE, read_finished_scan
+from scanner.results import (
+    NETWORK_CLOUD_FILE,
+    NETWORK_FILE,
+    OBJECT_FILE,
+    ROOM_FILE,
+    capture_folders,
+    read_finished_result,
+)
 
 _SHALLOWEST, _DEEPEST = 5, 9  # levels of the octree of the Poisson reconstruction; 9 is 512 cells per side
 _AROUND = 1.1  # over the extent
@@ -31,19 +38,22 @@ class MappedScene:
     baseline: str
 
 
-def read_scene(result: Path) -> MappedScene:
-    """Of a network, or of a single camera and projector. Raises InputError."""
+def read_scene(result: Path, capture: int | None) -> MappedScene:
+    """Of a network, or of a single camera and projector: those of a capture or station by number, by default of the
+    newest capture. Raises InputError.
+    """
     if (result / NETWORK_FILE).is_file():
         return _of_network(result)
-    for name in (ROOM_FILE, OBJECT_FILE):
-        if (result / name).is_file():
-            raise InputError(
-                f"{result}: rig or thing was moved between its stations, so no projector stands where it stood; "
-                f"export one station, as in {result}/captures/1"
-            )
-    scan = read_finished_scan(result)
-    projector = StoredDevice("projector", "projector", scan.calibration.projector, scan.calibration.pose.inverse())
-    return MappedScene((projector,), build_mesh(scan), "from camera to projector")
+    if capture is None and any((result / name).is_file() for name in (ROOM_FILE, OBJECT_FILE)):
+        raise InputError(
+            f"{result}: rig or object was moved between its stations, so no projector stands where it stood; "
+            "export one station, as with --capture 1"
+        )
+    newest = len(capture_folders(result))
+    (station,) = read_finished_result(result, newest if capture is None else capture).stations
+    calibration = station.scan.calibration
+    projector = StoredDevice("projector", "projector", calibration.projector, calibration.pose.inverse())
+    return MappedScene((projector,), build_mesh(station.scan), "from camera to projector")
 
 
 def _of_network(result: Path) -> MappedScene:

@@ -57,7 +57,7 @@ _HOW = {
 def export(request: ExportRequest) -> list[str]:
     """Write everything into a folder. Raises InputError and OSError."""
     refuse_existing(request.out / LISTING_FILE, overwrite=request.overwrite)
-    scene = read_scene(request.result)
+    scene = read_scene(request.result, request.capture)
     _require_room(scene.projectors, request.out)
     metres, findings = in_metres(scene.mesh.unit, scene.baseline)
     eye = None if request.eye is None else np.array(request.eye) * Y_UP_FROM_CAMERA / metres

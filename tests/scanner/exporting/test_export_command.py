@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from calib.geometry import Matches
-from scanner.io import read_matches, write_matches
+from scanner.io import read_cloud, read_matches, write_matches
 from tests.support.command_line import run
-from tests.support.result_folder import Written, write_result
+from tests.support.result_folder import Written, corner_pose, write_captures, write_result
 
 
 @pytest.fixture(scope="module")
@@ -161,3 +161,50 @@ def test_without_pye57_the_extra_is_named(
     assert run("export", result, "--to", "e57") == 2
     assert "E57 needs pye57, which is not installed; type: " in capsys.readouterr().err
     assert {path.name for path in result.parent.iterdir()} == {"room"}
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[Written, Written]]:
+    folder = tmp_path_factory.mktemp("captures") / "corner"
+    return folder, write_captures(folder)
+
+
+@pytest.mark.parametrize(("to", "name"), [("ply", "out.ply"), ("mesh", "out.ply"), ("mesh", "out.glb")])
+def test_captures_of_a_corner_are_exported_together(
+    captures: tuple[Path, tuple[Written, Written]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    to: str,
+    name: str,
+) -> None:
+    folder, each_capture = captures
+    counts = [len(written.scan) for written in each_capture]
+    assert run("export", folder, "--to", to, "--out", tmp_path / name) == 0
+    assert "of 2 captures" in capsys.readouterr().out
+    if to == "ply":
+        points = read_cloud(tmp_path / name).points
+        assert len(points) == sum(counts)
+        assert points.min() > -0.02  # in the corner's frame, all are inside of it
+        assert run("export", folder, "--to", to, "--capture", "1", "--out", tmp_path / "1.ply") == 0
+        assert f"{counts[0]:,} points in m" in capsys.readouterr().out
+        assert np.allclose(read_cloud(tmp_path / "1.ply").points, each_capture[0].scan.points, atol=1e-5)
+    elif name == "out.ply":
+        points = read_cloud(tmp_path / name).points
+        assert 0.99 * sum(counts) < len(points) <= sum(counts)
+        assert (corner_pose(each_capture[1]) @ points).min() > -0.02
+
+
+@pytest.mark.parametrize("capture", ["0", "3"])
+def test_a_capture_that_is_not_there(
+    captures: tuple[Path, tuple[Written, Written]], tmp_path: Path, capsys: pytest.CaptureFixture[str], capture: str
+) -> None:
+    assert run("export", captures[0], "--to", "ply", "--capture", capture, "--out", tmp_path / "a.ply") == 2
+    assert f"expected --capture 1 to 2, found {capture}" in capsys.readouterr().err
+
+
+def test_captures_that_were_not_merged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_captures(tmp_path / "corner")
+    (tmp_path / "corner" / "merged.ply").unlink()
+    assert run("export", tmp_path / "corner", "--to", "ply") == 2
+    assert "2 captures were not merged" in capsys.readouterr().err
+    assert run("export", tmp_path / "corner", "--to", "ply", "--capture", "2") == 0

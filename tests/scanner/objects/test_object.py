@@ -143,7 +143,7 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
 
     from scanner.exporting import FORMATS, ExportRequest
     from scanner.objects.save import save_object
-    from scanner.results import read_finished_room
+    from scanner.results import read_joined
 
     _, found = turned
     surface = save_object(found, tmp_path, config_for(CAMERA), Terminal(quiet=True), fill=True)
@@ -151,7 +151,7 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
     assert surface.closed
     assert 0.2 < surface.bridged < 0.8  # a hundred and fifty degrees of it were seen
     assert surface.volume is None
-    whole = read_finished_room(tmp_path)
+    whole = read_joined(tmp_path)
     assert whole is not None
     assert len(whole.stations) == 5
     blue = (surface.mesh.colours == [90, 140, 255]).all(axis=1)

@@ -14,7 +14,7 @@ from calib.geometry import Pose
 from calib.numerics import Floats
 from scanner.exporting import FORMATS, ExportRequest
 from scanner.io import read_calibration, read_cloud
-from scanner.results import read_finished_room
+from scanner.results import read_joined
 from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.verdict import verdict_on
 from scanner.viewing import ViewedResult
@@ -126,7 +126,7 @@ def test_unmodelled_lens_distortion_is_reported(example: SolvedExample) -> None:
 
 
 def test_the_result_reads_back_and_exports(example: SolvedExample, tmp_path: Path) -> None:
-    room = read_finished_room(example.out)
+    room = read_joined(example.out)
     assert room is not None
     assert [station.name for station in room.stations] == [str(file) for file in example.files]
     for stored, solved in zip(room.stations, example.solved.stations, strict=True):

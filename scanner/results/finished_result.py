@@ -1,0 +1,111 @@
+"""A result folder read back as scans, each with its pose: one capture, several of a corner, a room's or an object's."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.geometry import IDENTITY, Pose
+from scanner.errors import InputError
+from scanner.io import read_poses, read_room
+from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
+from scanner.results.names import (
+    CAPTURES_FOLDER,
+    CLOUD_FILE,
+    MERGED_FILE,
+    OBJECT_CLOUD_FILE,
+    OBJECT_FILE,
+    OBJECT_MESH_FILE,
+    POSES_FILE,
+    ROOM_CLOUD_FILE,
+    ROOM_FILE,
+    ROOM_MESH_FILE,
+)
+
+_JOINED = {ROOM_FILE: (ROOM_CLOUD_FILE, ROOM_MESH_FILE), OBJECT_FILE: (OBJECT_CLOUD_FILE, OBJECT_MESH_FILE)}
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedScan:
+    """The scan of a capture or a station with its pose."""
+
+    name: str
+    folder: Path
+    place: Pose
+    """X_result = R X_camera + t."""
+
+    @property
+    def scan(self) -> FinishedScan:
+        """Read each time: a room's are large together. Raises InputError if a file is missing or damaged."""
+        return read_finished_scan(self.folder)
+
+
+@dataclass(frozen=True)
+class FinishedResult:
+    """Scans in one frame: a room's or an object's own, z up; of captures of a corner, the newest camera's."""
+
+    unit: str
+    """Of all lengths."""
+    stations: tuple[PlacedScan, ...]
+    """In the order of their numbers, from 1."""
+    cloud: Path
+    """The file of the cloud of all of them: of captures of a corner, in the corner's frame."""
+    mesh: Path | None = None
+    """The file of their mesh; None unless they are of a room or an object."""
+    listing: str = ""
+    """The name of the file that lists the stations of a room or of an object."""
+
+    @property
+    def is_object(self) -> bool:
+        """Whether the stations are those of an object."""
+        return self.listing == OBJECT_FILE
+
+    @property
+    def of_how_many(self) -> str:
+        """' of 3 captures', ' of 6 stations', or '' for a single capture."""
+        count = len(self.stations)
+        return "" if count == 1 else f" of {count} {'stations' if self.listing else 'captures'}"
+
+
+def read_joined(folder: Path) -> FinishedResult | None:
+    """A room or an object; None if the folder holds neither. Raises InputError if its content is malformed."""
+    listing = next((name for name in _JOINED if (folder / name).is_file()), None)
+    if listing is None:
+        return None
+    stored = read_room(folder / listing)
+    stations = (PlacedScan(station.name, folder / station.folder, station.place) for station in stored.stations)
+    cloud, mesh = (folder / name for name in _JOINED[listing])
+    return FinishedResult(stored.unit, tuple(stations), cloud, mesh, listing)
+
+
+def read_finished_result(folder: Path, capture: int | None = None) -> FinishedResult:
+    """Everything that a result holds, or that one of its captures or stations, by number from 1, in its camera's frame.
+
+    Raises InputError if it is no result, its content is malformed, there is no such capture, or if there are several
+    captures that were not merged.
+    """
+    joined = read_joined(folder)
+    folders = capture_folders(folder) if joined is None else [station.folder for station in joined.stations]
+    count = len(folders)
+    if capture is not None and not 1 <= capture <= count:
+        raise InputError(f"{folder}: has {count} captures: expected --capture 1 to {count}, found {capture}")
+    if joined is not None and capture is None:
+        return joined
+    unit = read_calibration_of(folder).unit
+    if capture is not None or count == 1:
+        number = capture or 1
+        station = PlacedScan(f"capture {number}", folders[number - 1], IDENTITY)
+        return FinishedResult(unit, (station,), station.folder / CLOUD_FILE)
+    if not ((folder / MERGED_FILE).is_file() and (folder / POSES_FILE).is_file()):
+        raise InputError(
+            f"{folder}: its {count} captures were not merged (its report says why); choose one with "
+            f"--capture 1 to {count}"
+        )
+    poses = read_poses(folder / POSES_FILE, count)
+    placed = enumerate(zip(folders, poses, strict=True), start=1)
+    stations = tuple(PlacedScan(f"capture {n}", path, poses[-1].inverse() @ pose) for n, (path, pose) in placed)
+    return FinishedResult(unit, stations, folder / MERGED_FILE)
+
+
+def capture_folders(folder: Path) -> list[Path]:
+    """The folders of a result's captures, oldest first: the newest is the result itself."""
+    earlier = [path for path in (folder / CAPTURES_FOLDER).glob("*") if path.name.isdecimal() and path.is_dir()]
+    return [*sorted(earlier, key=lambda path: int(path.name)), folder]
