@@ -30,7 +30,7 @@ from scanner.io.network_file import StoredDevice, StoredNetwork, read_network
 from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply, write_room_ply
 from scanner.io.png import PngFile, PngRows, png_of, write_png
 from scanner.io.room_file import StoredRoom, StoredStation, read_poses, read_room, write_poses, write_room
-from scanner.io.row_file import RowFile, by_rows, row_bands, scratch_rows, tiff_rows
+from scanner.io.row_file import RowFile, by_rows, in_rows, scratch_rows, tiff_rows
 from scanner.io.validation import (
     LONGEST_M,
     SHORTEST_M,

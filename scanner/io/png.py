@@ -2,7 +2,7 @@
 
 The pixels of a PNG are one deflate stream, but a stream may consist of independently compressed parts (RFC 1950, 1951):
 strips of the image, one per thread. One filter for all rows, the difference from the pixel to the left, suits noise and
-stripes best. Noise has no repetitions, so only Huffman codes are used.
+stripes best. Noise has no repetitions, so only Huffman codes are used; computed images repeat their slopes.
 """
 
 import io
@@ -54,15 +54,21 @@ class PngRows:
 
 
 class PngFile:
-    """A PNG that is written by rows. Raises ValueError for an image of another shape or type than `write_png` takes."""
+    """A PNG that is written by rows. Raises ValueError for an image of another shape or type than `write_png` takes.
 
-    def __init__(self, file: BinaryIO, shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> None:
+    `is_computed`: the image has slopes without noise, in which repetitions are worth a search.
+    """
+
+    def __init__(
+        self, file: BinaryIO, shape: tuple[int, ...], dtype: np.dtype[np.generic], *, is_computed: bool = False
+    ) -> None:
         channels = 1 if len(shape) == 2 else shape[2] if len(shape) == 3 else 0
         if channels not in _COLOUR_TYPES or dtype not in _DEPTHS or not np.prod(shape):
             raise ValueError(f"an image of shape {shape} and type {dtype} cannot be written as PNG")
         height, width = shape[:2]
         self.pixel_bytes = channels * dtype.itemsize
         self._file = file
+        self._strategy = zlib.Z_DEFAULT_STRATEGY if is_computed else zlib.Z_HUFFMAN_ONLY
         self._checked = _CheckSum(1, 0)
         self._whole = height * (1 + width * self.pixel_bytes)
         header = struct.pack(">IIBBBBB", width, height, _DEPTHS[dtype], _COLOUR_TYPES[channels], 0, 0, 0)
@@ -70,7 +76,7 @@ class PngFile:
 
     def compressed(self, rows: Image, *, is_last: bool) -> PngRows:
         """Compress some rows; several threads may."""
-        return _compressed(rows, self.pixel_bytes, is_last=is_last)
+        return _compressed(rows, self.pixel_bytes, self._strategy, is_last=is_last)
 
     def append(self, rows: PngRows) -> None:
         """Write the next rows; the file is complete after the last. Raises OSError."""
@@ -97,12 +103,12 @@ class _CheckSum:
         return _CheckSum(joined, self.length + following.length)
 
 
-def _compressed(strip: Image, pixel_bytes: int, *, is_last: bool) -> PngRows:
+def _compressed(strip: Image, pixel_bytes: int, strategy: int, *, is_last: bool) -> PngRows:
     rows = _bytes_of(strip)
     filtered = np.empty((len(rows), 1 + rows.shape[1]), np.uint8)
     filtered[:, 0], filtered[:, 1 : 1 + pixel_bytes] = _LEFT, rows[:, :pixel_bytes]
     np.subtract(rows[:, pixel_bytes:], rows[:, :-pixel_bytes], out=filtered[:, 1 + pixel_bytes :])
-    deflate = zlib.compressobj(1, zlib.DEFLATED, _WINDOW_BITS, _MEMORY, zlib.Z_HUFFMAN_ONLY)
+    deflate = zlib.compressobj(1, zlib.DEFLATED, _WINDOW_BITS, _MEMORY, strategy)
     # All parts but the last end at a whole byte, without an end mark.
     data = deflate.compress(filtered.data) + deflate.flush(zlib.Z_FINISH if is_last else zlib.Z_SYNC_FLUSH)
     return PngRows(_chunk(b"IDAT", data), _CheckSum(zlib.adler32(filtered.data), filtered.size))

@@ -12,11 +12,11 @@ from typing import BinaryIO, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import in_parallel, slices_of
+from calib.numerics import in_parallel, in_slices, slices_of
 
 Result = TypeVar("Result")
 
-_PIXELS_AT_ONCE, _PIXELS_OF_SLICE = 1 << 18, 1 << 16
+_PIXELS_AT_ONCE, _PIXELS_OF_SLICE = 1 << 20, 1 << 16
 
 # TIFF 6.0, and BigTIFF for files whose places take more than 32 bits.
 _SHORT, _LONG, _LONG8 = (3, "<u2"), (4, "<u4"), (16, "<u8")
@@ -26,30 +26,41 @@ _UNCOMPRESSED, _CONTIGUOUS, _FLOAT = 1, 1, 3
 _GREY, _RGB = 1, 2
 
 
+def in_rows(shape: tuple[int, ...], work: Callable[[slice], Result]) -> list[Result]:
+    """Return the results of `work` for slices of the rows of an image (H, W, …), in order; some run in parallel."""
+    return in_slices(shape[0], _rows_of(shape, _PIXELS_OF_SLICE), work)
+
+
 def by_rows(shape: tuple[int, ...], work: Callable[[slice], Result]) -> Iterator[Result]:
-    """Yield the results of `work` for slices of the rows of an image (H, W, …), in order; some run in parallel."""
-    for band in row_bands(shape):
-        parts = slices_of(band.stop - band.start, max(1, _PIXELS_OF_SLICE // shape[1]))
+    """Yield the same, of which few are in memory at once."""
+    for band in slices_of(shape[0], _rows_of(shape, _PIXELS_AT_ONCE)):
+        parts = slices_of(band.stop - band.start, _rows_of(shape, _PIXELS_OF_SLICE))
         yield from in_parallel(work, [slice(band.start + part.start, band.start + part.stop) for part in parts])
 
 
-def row_bands(shape: tuple[int, ...]) -> list[slice]:
-    """Slices of the rows of an image (H, W, …), in order, that are small enough to be worked on at once."""
-    return slices_of(shape[0], max(1, _PIXELS_AT_ONCE // shape[1]))
+def _rows_of(shape: tuple[int, ...], pixels: int) -> int:
+    return max(1, pixels // shape[1])
 
 
 class RowFile:
-    """An image (H, W) or (H, W, C) in an open file, from `offset` on. Threads may read it side by side."""
+    """An image (H, W) or (H, W, C) in an open file, from `offset` on. Threads may read and write it side by side."""
 
     def __init__(self, file: BinaryIO, shape: tuple[int, ...], dtype: type[np.generic], offset: int = 0) -> None:
         self.shape, self.dtype = shape, np.dtype(dtype)
         self._file, self._offset = file, offset
         self._row_bytes = prod(shape[1:]) * self.dtype.itemsize
 
-    def append(self, rows: NDArray[np.generic]) -> None:
-        """Write the next rows (n, W) or (n, W, C). Raises OSError."""
-        self._file.write(np.ascontiguousarray(rows, self.dtype).data)
-        self._file.flush()
+    def write(self, rows: slice, values: NDArray[np.generic]) -> None:
+        """Write some rows, (n, W) or (n, W, C). Raises OSError."""
+        data: memoryview = np.ascontiguousarray(values, self.dtype).reshape(-1).view(np.uint8).data
+        place = self._offset + rows.start * self._row_bytes
+        while data:
+            count = os.pwrite(self._file.fileno(), data, place)
+            data, place = data[count:], place + count
+
+    def write_all(self, image: NDArray[np.generic]) -> None:
+        """Write the whole image. Raises OSError."""
+        self.write(slice(0, self.shape[0]), image)
 
     def read(self, rows: slice) -> NDArray[np.float32]:
         """Rows that were written, (n, W) or (n, W, C). Raises OSError."""
@@ -80,6 +91,7 @@ def tiff_rows(path: Path, shape: tuple[int, ...]) -> Iterator[RowFile]:
     header = _tiff_header(shape)
     with path.open("w+b") as file:
         file.write(header)
+        file.flush()
         yield RowFile(file, shape, np.float32, len(header))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from calib.geometry import Distortion, Pinhole, distorted_point
 from calib.numerics import Bools, Floats, compiled
 from scanner.exporting.mapping.projector_view import Numbers, ProjectorView
-from scanner.io import RowFile, by_rows
+from scanner.io import RowFile, in_rows
 
 _EDGE = 0.02  # relative depth step to a neighbour, beyond that of a plane
 _SAME = 0.005  # relative depth difference within one surface
@@ -37,8 +37,7 @@ def distance_from_edge(view: ProjectorView, shown: Bools) -> Numbers:
     def find(rows: slice) -> None:
         inside[1:-1, 1:-1][rows] = shown[rows] & _without_steps(view, rows)
 
-    for _ in by_rows(shown.shape, find):
-        pass
+    in_rows(shown.shape, find)
     distance = np.asarray(cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1], np.float32)
     np.maximum(distance, 0.5, out=distance)  # pixels at the very edge need a projector, too
     distance *= shown
@@ -75,14 +74,18 @@ def _add_region(region: LitRegion, position: RowFile, to_file: Floats, total: Nu
     place, lens = region.view.projector.place, region.view.projector.intrinsics
     into = place.inverse().scaled(scale)
     turn, shift = scale * into.rotation / to_file, into.translation
-    depth, distance = region.view.depth.read_all(), region.distance.read_all()
+    # Side by side, as both are read at the same places; the inverse of the depth, which is linear on a plane.
+    surface = np.empty((*region.distance.shape, 2), np.float32)
+
+    def load(rows: slice) -> None:
+        _pair(region.view.depth.read(rows), region.distance.read(rows), surface[rows])
 
     def add(rows: slice) -> None:
         points, sums = position.read(rows).reshape(-1, 3), total[rows].reshape(-1)
-        _add_squares(turn, shift, lens.distortion, lens.pinhole, depth, distance, _SAME, points, sums)
+        _add_squares(turn, shift, lens.distortion, lens.pinhole, surface, _SAME, points, sums)
 
-    for _ in by_rows(total.shape, add):
-        pass
+    in_rows(surface.shape, load)
+    in_rows(total.shape, add)
 
 
 def weights(region: LitRegion, total: Numbers, rows: slice) -> Numbers:
@@ -108,29 +111,40 @@ def _find_steps(depth: Numbers, edge: float, smooth: Bools) -> None:
 
 
 @compiled
+def _pair(depth: Numbers, distance: Numbers, surface: Numbers) -> None:
+    """The inverse depth, 0 where none is known, and the distance from the edge, (n, W, 2)."""
+    for y in range(depth.shape[0]):
+        for x in range(depth.shape[1]):
+            surface[y, x, 0] = 1.0 / depth[y, x] if depth[y, x] > 0 else 0.0
+            surface[y, x, 1] = distance[y, x]
+
+
+@compiled
 def _add_squares(
     turn: Floats,
     shift: Floats,
     distortion: Distortion,
     pinhole: Pinhole,
-    depth: Numbers,
-    distance: Numbers,
+    surface: Numbers,
     same: float,
     points: Numbers,
     total: Numbers,
 ) -> None:
     """Add to the `total` (N,) of each point (N, 3), unless it is 0, the square of another projector's distance from its
     edge, interpolated, where that lights the same point.
+
+    `surface` (H, W, 2): of the other projector's pixels, as in `_pair`.
     """
-    height, width = depth.shape
+    height, width = surface.shape[:2]
     for i in range(len(points)):
         if not total[i] > 0.0:
             continue
         z = turn[2, 0] * points[i, 0] + turn[2, 1] * points[i, 1] + turn[2, 2] * points[i, 2] + shift[2]
         if not z > 0.0:
             continue
-        x = (turn[0, 0] * points[i, 0] + turn[0, 1] * points[i, 1] + turn[0, 2] * points[i, 2] + shift[0]) / z
-        y = (turn[1, 0] * points[i, 0] + turn[1, 1] * points[i, 1] + turn[1, 2] * points[i, 2] + shift[1]) / z
+        per_z = 1.0 / z
+        x = (turn[0, 0] * points[i, 0] + turn[0, 1] * points[i, 1] + turn[0, 2] * points[i, 2] + shift[0]) * per_z
+        y = (turn[1, 0] * points[i, 0] + turn[1, 1] * points[i, 1] + turn[1, 2] * points[i, 2] + shift[1]) * per_z
         u, v, _, _, _ = distorted_point(x, y, distortion)
         u, v = pinhole[0] * u + pinhole[2], pinhole[1] * v + pinhole[3]
         if not (0.0 <= u <= width - 1 and 0.0 <= v <= height - 1):
@@ -138,13 +152,13 @@ def _add_squares(
         left, top = int(u), int(v)
         right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
         across, down = u - left, v - top
-        if not (
-            depth[top, left] > 0 and depth[top, right] > 0 and depth[bottom, left] > 0 and depth[bottom, right] > 0
-        ):
+        a, b = surface[top, left, 0], surface[top, right, 0]
+        c, d = surface[bottom, left, 0], surface[bottom, right, 0]
+        if not (min(a, b, c, d) > 0):
             continue
-        inverse = (1.0 - down) * ((1.0 - across) / depth[top, left] + across / depth[top, right])
-        inverse += down * ((1.0 - across) / depth[bottom, left] + across / depth[bottom, right])
-        if abs(1.0 / inverse - z) < same * z:
-            edge = (1.0 - down) * ((1.0 - across) * distance[top, left] + across * distance[top, right])
-            edge += down * ((1.0 - across) * distance[bottom, left] + across * distance[bottom, right])
+        inverse = (1.0 - down) * ((1.0 - across) * a + across * b) + down * ((1.0 - across) * c + across * d)
+        if abs(1.0 - z * inverse) < same * z * inverse:
+            a, b = surface[top, left, 1], surface[top, right, 1]
+            c, d = surface[bottom, left, 1], surface[bottom, right, 1]
+            edge = (1.0 - down) * ((1.0 - across) * a + across * b) + down * ((1.0 - across) * c + across * d)
             total[i] += edge * edge

@@ -1,19 +1,18 @@
 """What a projector lights, pixel by pixel, seen from its own eye through its own lens."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Ints, compiled, in_slices
+from calib.numerics import Floats, Ints, compiled
+from scanner.exporting.mapping.rasterisation import TriangleRaster
 from scanner.exporting.mapping.wall import WallView
-from scanner.exporting.triangles import Mesh, open3d
-from scanner.io import RowFile, StoredDevice, row_bands
+from scanner.exporting.triangles import Mesh
+from scanner.io import RowFile, StoredDevice, in_rows
 
 Numbers = NDArray[np.float32]
 
-_SLICE_PIXELS = 1 << 16  # worked on by one processor
 _SIZED_PIXELS = 1 << 20  # whose size on the wall is measured
 _GRAZING = np.sin(np.radians(10.0))  # surfaces seen at a smaller angle show streaks
 
@@ -47,110 +46,110 @@ class ProjectorView:
     farthest: float
 
 
-class SurfaceCaster:
-    """Casts the rays of projectors at a mesh. Raises InputError if Open3D cannot be loaded."""
+def view_surface(
+    projector: StoredDevice,
+    mesh: Mesh,
+    viewpoint: WallView,
+    to_file: Floats,
+    depth: RowFile,
+    position: RowFile,
+    on_wall: RowFile,
+) -> ProjectorView:
+    """Fill the files of a view. `to_file` (3,): factors from the mesh's axes to those of the files."""
+    scale = float(abs(to_file[0]))
+    surface = _Surface(projector, mesh, viewpoint)
 
-    def __init__(self, mesh: Mesh, viewpoint: WallView) -> None:
-        self._mesh, self._viewpoint = mesh, viewpoint
-        self._tensor = open3d().core.Tensor
-        self._scene = open3d().t.geometry.RaycastingScene()
-        self._scene.add_triangles(mesh.points.astype(np.float32), mesh.triangles.astype(np.uint32))
+    def fill(rows: slice) -> _LitPart:
+        lit = surface.lit(rows)
+        depth.write(rows, np.float32(scale) * np.nan_to_num(lit.depth))
+        position.write(rows, to_file.astype(np.float32) * np.nan_to_num(lit.points))
+        on_wall.write(rows, lit.on_wall)
+        return surface.part(lit)
 
-    def view(
-        self, projector: StoredDevice, to_file: Floats, depth: RowFile, position: RowFile, on_wall: RowFile
-    ) -> ProjectorView:
-        """Fill the files of a view. `to_file` (3,): factors from the mesh's axes to those of the files."""
-        scale = float(abs(to_file[0]))
-        surface = _Surface(projector, self._mesh, self._viewpoint)
-        for rows in row_bands(depth.shape):
-            rays = surface.rays(rows)
-            lit = surface.lit(rays, self._scene.cast_rays(self._tensor(rays)))
-            depth.append(np.float32(scale) * np.nan_to_num(lit.depth))
-            position.append(to_file.astype(np.float32) * np.nan_to_num(lit.points))
-            on_wall.append(lit.on_wall)
-        nearest, farthest = surface.reach
-        return ProjectorView(projector, depth, position, on_wall, surface.part(), scale * nearest, scale * farthest)
+    parts = in_rows(depth.shape, fill)
+    sides = np.concatenate([part.sides for part in parts])
+    known = sides[np.isfinite(sides)]
+    wall = WallPart(
+        np.min([part.low for part in parts], axis=0),
+        np.max([part.high for part in parts], axis=0),
+        float(np.median(known)) if known.size else np.nan,
+    )
+    nearest, farthest = min(part.nearest for part in parts), max(part.farthest for part in parts)
+    return ProjectorView(projector, depth, position, on_wall, wall, scale * nearest, scale * farthest)
 
 
 @dataclass(frozen=True, eq=False)
 class _Lit:
-    """Of rows (n, W): points (n, W, 3) and depth (n, W) in the scene's frame, NaN where nothing is lit; `on_wall`
-    (n, W, 2).
-    """
+    """What some rows of pixels light, in the scene's frame."""
 
+    # (n, W, 3), NaN where nothing is lit.
     points: Numbers
+    # (n, W), NaN where nothing is lit.
     depth: Numbers
+    # (n, W, 2), as in `ProjectorView`.
     on_wall: Numbers
+    # (2, 2): the smallest and the largest coordinates of points of the wall.
+    reach: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _LitPart:
+    """What some rows say of the wall and the depth; fields as in `WallPart` and `ProjectorView`."""
+
+    low: Floats
+    high: Floats
+    # (m,): of some pixels; NaN where a neighbour lights nothing.
+    sides: Numbers
+    nearest: float
+    farthest: float
 
 
 class _Surface:
-    """The surface as one projector lights it, and what is known about all of its rows so far."""
+    """The surface as one projector lights it."""
 
     def __init__(self, projector: StoredDevice, mesh: Mesh, viewpoint: WallView) -> None:
-        self._projector, self._mesh, self._viewpoint = projector, mesh, viewpoint
-        self._low, self._high = np.full(2, np.inf), np.full(2, -np.inf)
-        self._sides = list[Numbers]()
-        self.reach = (np.inf, 0.0)
+        self._lens, self._place, self._mesh, self._viewpoint = projector.intrinsics, projector.place, mesh, viewpoint
+        self._raster = TriangleRaster(projector.place.inverse() @ mesh.points, mesh.triangles)
 
-    def rays(self, rows: slice) -> Numbers:
-        """Origins and directions (n, W, 6) of the pixels of some rows; their length along the axis is one."""
-        lens, place = self._projector.intrinsics, self._projector.place
-        rays = np.empty((rows.stop - rows.start, lens.width, 6), np.float32)
-        rays[..., :3] = place.translation
+    def lit(self, rows: slice) -> _Lit:
+        """Where the rays of the pixels of some rows meet the surface."""
+        x, y = np.meshgrid(np.arange(float(self._lens.width)), np.arange(rows.start, rows.stop, 1.0))
+        rays = self._lens.ideal(np.stack([x, y], axis=-1))
+        hits = self._raster.hits(rays)
+        points, on_wall = np.empty((*x.shape, 3), np.float32), np.empty((*x.shape, 2), np.float32)
+        reach = np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
+        wall, eye = self._viewpoint.wall, self._viewpoint.eye
+        _light(
+            rays.reshape(-1, 2),
+            hits.depth.reshape(-1),
+            hits.triangle.reshape(-1),
+            self._raster.points,
+            self._mesh.triangles,
+            self._mesh.normals,
+            self._place.rotation,
+            self._place.translation,
+            wall.normal,
+            wall.offset,
+            wall.within,
+            wall.axes,
+            np.zeros(3) if eye is None else eye,
+            eye is not None,
+            _GRAZING,
+            points.reshape(-1, 3),
+            on_wall.reshape(-1, 2),
+            reach,
+        )
+        return _Lit(points, hits.depth, on_wall, reach)
 
-        def fill(part: slice) -> None:
-            x, y = np.meshgrid(np.arange(float(lens.width)), np.arange(rows.start, rows.stop, 1.0)[part])
-            rays[part, :, 3:] = place.rotate(lens.unproject(np.stack([x, y], axis=-1)))
-
-        in_slices(len(rays), _slice_rows(lens.width), fill)
-        return rays
-
-    def lit(self, rays: Numbers, hits: Any) -> _Lit:
-        """Where the rays (n, W, 6) of some rows meet the surface."""
-        wall, eye, mesh = self._viewpoint.wall, self._viewpoint.eye, self._mesh
-        depth, ids, shares = (hits[name].numpy() for name in ("t_hit", "primitive_ids", "primitive_uvs"))
-        points, on_wall = np.empty((*depth.shape, 3), np.float32), np.empty((*depth.shape, 2), np.float32)
-        from_eye = np.zeros(3) if eye is None else eye
-
-        def fill(part: slice) -> Floats:
-            reach = np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
-            _light(
-                rays[part].reshape(-1, 6),
-                depth[part].reshape(-1),
-                ids[part].reshape(-1),
-                shares[part].reshape(-1, 2),
-                mesh.triangles,
-                mesh.normals,
-                wall.normal,
-                wall.offset,
-                wall.within,
-                wall.axes,
-                from_eye,
-                eye is not None,
-                _GRAZING,
-                points[part].reshape(-1, 3),
-                on_wall[part].reshape(-1, 2),
-                reach,
-            )
-            return reach
-
-        for low, high in in_slices(len(depth), _slice_rows(depth.shape[1]), fill):
-            self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
-        self._sides.append(self._pixel_sides(points))
-        there = depth[np.isfinite(depth)]
-        if there.size:
-            self.reach = min(self.reach[0], float(there.min())), max(self.reach[1], float(there.max()))
-        return _Lit(points, depth, on_wall)
-
-    def part(self) -> WallPart:
-        """What was lit of the wall."""
-        sides = np.concatenate(self._sides)
-        known = sides[np.isfinite(sides)]
-        return WallPart(self._low, self._high, float(np.median(known)) if known.size else np.nan)
+    def part(self, lit: _Lit) -> _LitPart:
+        """What the rows say of the wall and the depth."""
+        depth = lit.depth[np.isfinite(lit.depth)]
+        nearest, farthest = (float(depth.min()), float(depth.max())) if depth.size else (np.inf, 0.0)
+        return _LitPart(lit.reach[0], lit.reach[1], self._pixel_sides(lit.points), nearest, farthest)
 
     def _pixel_sides(self, points: Numbers) -> Numbers:
         """The sides (m,) of pixels on the wall: of every `step`-th, from its neighbours' points in rows (n, W, 3)."""
-        wall, size = self._viewpoint.wall, self._projector.intrinsics.size
+        wall, size = self._viewpoint.wall, self._lens.size
         step = max(1, round((size.width * size.height / _SIZED_PIXELS) ** 0.5))
         inner = slice(1, -1, step)
         across = (points[inner, 2::step] - points[inner, :-2:step]) @ (wall.axes / 2)
@@ -160,18 +159,16 @@ class _Surface:
         return np.sqrt(area[is_wall]).astype(np.float32)
 
 
-def _slice_rows(width: int) -> int:
-    return max(1, _SLICE_PIXELS // width)
-
-
 @compiled
 def _light(
-    rays: Numbers,
+    rays: Floats,
     depth: Numbers,
-    ids: NDArray[np.uint32],
-    shares: Numbers,
+    hits: NDArray[np.int32],
+    corners: Floats,
     triangles: Ints,
     normals: Floats,
+    rotation: Floats,
+    centre: Floats,
     wall_normal: Floats,
     wall_offset: float,
     within: float,
@@ -183,10 +180,10 @@ def _light(
     on_wall: Numbers,
     reach: Floats,
 ) -> None:
-    """Points on rays (N, 6), and where they are seen on the wall, from the triangle and the barycentric coordinates of
-    each hit; `reach` (2, 2): the smallest and largest coordinates of the points of the wall.
+    """Points on rays (N, 2) of the projector at `centre`, and where they are seen on the wall, from the triangle that
+    each hits; its `corners` are in the projector's frame. `reach` (2, 2): as in `_Lit`.
     """
-    towards, seen = np.empty(3), np.empty(3)
+    towards, seen, shares = np.empty(3), np.empty(3), np.empty(3)
     eye_ahead = eye[0] * wall_normal[0] + eye[1] * wall_normal[1] + eye[2] * wall_normal[2] - wall_offset
     for i in range(len(depth)):
         on_wall[i, 0] = on_wall[i, 1] = np.nan
@@ -194,9 +191,10 @@ def _light(
             depth[i] = np.nan
             points[i, 0] = points[i, 1] = points[i, 2] = np.nan
             continue
+        x, y = rays[i, 0], rays[i, 1]
         ahead, length, off = 0.0, 0.0, -wall_offset
         for k in range(3):
-            points[i, k] = rays[i, k] + depth[i] * rays[i, 3 + k]
+            points[i, k] = depth[i] * (rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2]) + centre[k]
             off += points[i, k] * wall_normal[k]
             towards[k] = eye[k] - points[i, k] if has_eye else wall_normal[k]
             ahead += towards[k] * wall_normal[k]
@@ -207,16 +205,20 @@ def _light(
                 reach[0, axis], reach[1, axis] = min(reach[0, axis], at), max(reach[1, axis], at)
         if not ahead > 0.0:
             continue
-        share = eye_ahead / ahead
-        first, second, third = triangles[ids[i], 0], triangles[ids[i], 1], triangles[ids[i], 2]
+        share, total = eye_ahead / ahead, 0.0
+        for corner in range(3):
+            p = corners[triangles[hits[i], (corner + 1) % 3]]
+            q = corners[triangles[hits[i], (corner + 2) % 3]]
+            shares[corner] = (
+                x * (p[1] * q[2] - p[2] * q[1]) + y * (p[2] * q[0] - p[0] * q[2]) + p[0] * q[1] - p[1] * q[0]
+            )
+            total += shares[corner]
         facing = 0.0
         for k in range(3):
-            normal = (
-                (1.0 - shares[i, 0] - shares[i, 1]) * normals[first, k]
-                + shares[i, 0] * normals[second, k]
-                + shares[i, 1] * normals[third, k]
-            )
-            facing += normal * towards[k]
+            normal = 0.0
+            for corner in range(3):
+                normal += shares[corner] * normals[triangles[hits[i], corner], k]
+            facing += normal / total * towards[k]
             seen[k] = eye[k] - share * towards[k] if has_eye else points[i, k]
         if facing > grazing * np.sqrt(length):
             for axis in range(2):

@@ -18,7 +18,7 @@ from scanner.exporting.glb import GlbCamera, Piece, write_pieces
 from scanner.exporting.mapping.blend import LitRegion, distance_from_edge, summed_squares, weights
 from scanner.exporting.mapping.content import Content, content_on
 from scanner.exporting.mapping.lens_shift import for_programs
-from scanner.exporting.mapping.projector_view import Numbers, ProjectorView, SurfaceCaster
+from scanner.exporting.mapping.projector_view import Numbers, ProjectorView, view_surface
 from scanner.exporting.mapping.scene import MappedScene, read_scene
 from scanner.exporting.mapping.wall import WallView, largest_wall
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA
@@ -94,7 +94,6 @@ def _write_maps(
     """Write `maps_of` each projector; returns the content, and the share of each one's pixels that show some of it."""
     to_file = metres * Y_UP_FROM_CAMERA
     scratch = maps_of[0][_MAPS[0]].parent
-    caster = SurfaceCaster(scene.mesh, viewpoint)
     views, regions, shares = list[ProjectorView](), list[LitRegion](), list[float]()
     with ExitStack() as stack:
         for projector, maps in zip(scene.projectors, maps_of, strict=True):
@@ -102,12 +101,12 @@ def _write_maps(
             depth = stack.enter_context(tiff_rows(maps["depth.tiff"], shape))
             position = stack.enter_context(tiff_rows(maps["position.tiff"], (*shape, 3)))
             on_wall = stack.enter_context(scratch_rows(scratch, (*shape, 2)))
-            views.append(caster.view(projector, to_file, depth, position, on_wall))
+            views.append(view_surface(projector, scene.mesh, viewpoint, to_file, depth, position, on_wall))
         content = content_on(viewpoint, [view.part for view in views])
         for view, maps in zip(views, maps_of, strict=True):
             region = LitRegion(view, stack.enter_context(scratch_rows(scratch, view.depth.shape)))
             shown = _write_places(view, content, maps)
-            region.distance.append(distance_from_edge(view, shown))
+            region.distance.write_all(distance_from_edge(view, shown))
             regions.append(region)
             shares.append(float(shown.mean()))
         for region, maps in zip(regions, maps_of, strict=True):
@@ -120,22 +119,22 @@ def _write_places(view: ProjectorView, content: Content, maps: Mapping[str, Path
     height, width = view.depth.shape
     shown = np.zeros((height, width), np.bool_)
     with tiff_rows(maps["stmap.tiff"], (height, width, 3)) as stmap, maps["warp.png"].open("wb") as file:
-        warp = PngFile(file, (height, width, 3), np.dtype(np.uint16))
+        warp = PngFile(file, (height, width, 3), np.dtype(np.uint16), is_computed=True)
 
-        def place(rows: slice) -> tuple[Numbers, PngRows]:
+        def place(rows: slice) -> PngRows:
             places = content.coordinates(view.on_wall.read(rows))
             shown[rows] = places[..., 2] > 0
-            return places, warp.compressed(_whole(places)[..., ::-1], is_last=rows.stop == height)
+            stmap.write(rows, places)
+            return warp.compressed(_whole(places)[..., ::-1], is_last=rows.stop == height)
 
-        for places, compressed in by_rows(shown.shape, place):
-            stmap.append(places)
+        for compressed in by_rows(shown.shape, place):
             warp.append(compressed)
     return shown
 
 
 def _write_blend(region: LitRegion, total: Numbers, gamma: float, path: Path) -> None:
     with path.open("wb") as file:
-        blend = PngFile(file, total.shape, np.dtype(np.uint16))
+        blend = PngFile(file, total.shape, np.dtype(np.uint16), is_computed=True)
 
         def weigh(rows: slice) -> PngRows:
             factor = _whole(weights(region, total, rows) ** np.float32(1 / gamma))
