@@ -1,9 +1,11 @@
 """Flip operators one at a time and see whether a test notices: what survives has no test, or is not needed.
 
-    python tools/mutate.py --count 20 --seed 1           # anywhere in calib/ and scanner/decoding/
+    python tools/mutate.py --record                      # which test runs what; kept, and continued if interrupted
+    python tools/mutate.py --count 200 --seed 1          # anywhere in calib/, hw/ and scanner/
     python tools/mutate.py --at calib/plane_segmentation/faces.py:60 --at scanner/decoding/samples.py:40
 
-Works in a temporary copy of the tree. The tests of a file are those in the folder that mirrors its own, or --tests.
+Works in a temporary copy of the tree. The tests of a line are those that run it, as recorded, up to --seconds of them,
+the nearest and the fastest first, and the folder that mirrors the file's own if none of them is there; or --tests.
 """
 
 import ast
@@ -19,8 +21,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-ROOT = Path(__file__).parents[1]
-_FOLDERS = ("calib", "scanner/decoding")
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from tools.called_functions import RECORD_FILE
+from tools.covering_tests import PRODUCT, ROOT, CoveringTests
+
 _COPIED = ("benchmarks", "calib", "configs", "docs", "hw", "scanner", "tests", "tools", "pyproject.toml")
 _FLIPPED: dict[type[ast.AST], tuple[str, str]] = {
     ast.Add: ("+", "-"),
@@ -99,21 +103,12 @@ def _is_text(node: ast.expr) -> bool:
 
 
 def survives(mutant: Mutant, copy: Path, tests: list[str], time_limit_s: float) -> bool:
-    """Whether the tests pass with it; a test that never ends has noticed."""
+    """Whether the tests pass with it; one that never ends has noticed, and so has one that cannot be collected."""
     file = copy / mutant.path
     source = file.read_bytes()
     # The machine code that Numba keeps is renewed with its file; Python's own is not written at all.
     environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-x",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        *(tests or [_tests_of(mutant.path)]),
-    ]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
     try:
         file.write_bytes(mutant.applied(source))
         run = subprocess.run(command, cwd=copy, env=environment, timeout=time_limit_s, capture_output=True)
@@ -121,23 +116,35 @@ def survives(mutant: Mutant, copy: Path, tests: list[str], time_limit_s: float) 
         return False
     finally:
         file.write_bytes(source)
-    if run.returncode not in (0, 1):
+    if run.returncode not in (0, 1, 2, 4):
         raise SystemExit(f"{mutant}\n{run.stdout.decode()}{run.stderr.decode()}")
     return run.returncode == 0
 
 
-def _tests_of(path: Path) -> str:
-    """The folder that mirrors the file's own, or the nearest above that there is."""
-    folder = path.parent
+def tests_of(mutant: Mutant, covering: CoveringTests, most_s: float) -> list[str]:
+    """The tests that run its line; and if none of them is in the folder that mirrors its own, or in the nearest above
+    that there is, that folder.
+    """
+    folder = mutant.path.parent
     while not (ROOT / "tests" / folder).is_dir():
         folder = folder.parent
-    return str("tests" / folder)
+    mirror = f"tests/{folder.as_posix()}/"
+    chosen, total_s = list[str](), 0.0
+    for test in covering.of_line(mutant.path, mutant.line):
+        total_s += covering.seconds[test]
+        if chosen and total_s > most_s:
+            break
+        chosen.append(test)
+    return chosen if any(test.startswith(mirror) for test in chosen) else [mirror, *chosen]
 
 
 def main() -> int:
     """Print survivors; exit code 1 if more than a tenth."""
     options = _options()
-    mutants = _chosen(options)
+    if options.record:
+        plugin = [sys.executable, "-m", "pytest", "-p", "tools.called_functions", *(options.tests or ["tests"])]
+        return subprocess.run(plugin, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}).returncode
+    mutants, covering = _chosen(options), CoveringTests(RECORD_FILE)
     survivors = 0
     with TemporaryDirectory() as folder:
         copy = Path(folder) / "tree"
@@ -147,9 +154,11 @@ def main() -> int:
             else:
                 shutil.copy2(ROOT / name, copy / name)
         for number, mutant in enumerate(mutants, 1):
-            survived = survives(mutant, copy, options.tests, options.time_limit)
+            tests = options.tests or tests_of(mutant, covering, options.seconds)
+            survived = survives(mutant, copy, tests, options.time_limit)
             survivors += survived
-            print(f"{number}/{len(mutants)} {'SURVIVED' if survived else 'noticed '} {mutant}", flush=True)
+            result = f"SURVIVED {len(tests)} tests" if survived else "noticed"
+            print(f"{number}/{len(mutants)} {result}: {mutant}", flush=True)
     print(f"{len(mutants) - survivors} of {len(mutants)} noticed")
     return int(survivors > len(mutants) / 10)
 
@@ -158,7 +167,7 @@ def _chosen(options: Namespace) -> list[Mutant]:
     if options.at:
         places = [place.rsplit(":", 1) for place in options.at]
         return [mutant for path, line in places for mutant in mutants_of(Path(path)) if mutant.line == int(line)]
-    folders = options.folder or _FOLDERS
+    folders = options.folder or PRODUCT
     paths = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
     mutants = [mutant for path in paths for mutant in mutants_of(path.relative_to(ROOT))]
     return random.Random(options.seed).sample(mutants, options.count)
@@ -170,10 +179,14 @@ def _options() -> Namespace:
     parser.add_argument("--count", type=int, default=40, help="operators to flip (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the choice (default: %(default)s)")
     parser.add_argument(
-        "--folder", action="append", metavar="PATH", help=f"to choose from (default: {', '.join(_FOLDERS)})"
+        "--folder", action="append", metavar="PATH", help=f"to choose from (default: {', '.join(PRODUCT)})"
     )
     parser.add_argument("--at", action="append", metavar="FILE:LINE", help="all operators of a line instead")
-    parser.add_argument("--tests", action="append", default=[], metavar="PATH", help="to run instead of the folder's")
+    parser.add_argument("--tests", action="append", default=[], metavar="PATH", help="to run, or to record, instead")
+    parser.add_argument("--record", action="store_true", help="run the tests and record which functions each calls")
+    parser.add_argument(
+        "--seconds", type=float, default=120.0, help="of tests for each operator (default: %(default)s)"
+    )
     parser.add_argument("--time-limit", type=float, default=600.0, metavar="SECONDS", help="for each run of tests")
     return parser.parse_args()
 
