@@ -20,8 +20,8 @@ from calib.refusal import NoMeasurementError
 from hw.settings import SimulatedRigSettings
 from hw.simulated import DrawnRoom, place_room, true_calibration
 from scanner.commands import main as scan
-from scanner.measuring import MeasuredScene, measure, read_scene
-from scanner.results import FinishedScan, folder_of, read_finished_scan
+from scanner.measuring import MeasuredScene, PlacedPoints, measure, read_scene
+from scanner.results import FinishedScan, folder_of, read_finished_result, read_finished_scan
 
 CAMERA, PROJECTOR = (612, 512), (427, 240)
 DIAMETER_M, BAR_M, WALLS_OFF_DEG = 0.24, 0.4, 0.3
@@ -63,7 +63,7 @@ def compare(errors: Errors, how: str, folder: Path, room: DrawnRoom) -> None:
         note(errors, f"{how}: flatness, m", face.deviation, face.budget)
     note_lengths(errors, how, found, scene, true_rig(room))
     try:
-        measured = measure(found, scene, [DIAMETER_M, DIAMETER_M], [])
+        measured = measure(found, scene, [DIAMETER_M, DIAMETER_M])
     except NoMeasurementError as reason:
         print(f"  {folder.name}: {reason}"[:110])
         return
@@ -71,8 +71,9 @@ def compare(errors: Errors, how: str, folder: Path, room: DrawnRoom) -> None:
         note(errors, f"{how}: diameter, m", sphere.diameter - DIAMETER_M, sphere.diameter_budget)
     note(errors, f"{how}: ball bar, m", measured.distances[0].distance - BAR_M, measured.distances[0].budget)
     pairs = np.random.default_rng(0).choice(found.pixel, (PAIRS, 2), replace=False)
-    ends = [(float(x1), float(y1), float(x2), float(y2)) for (x1, y1), (x2, y2) in pairs]
-    for distance in measure(found, scene, [], ends).distances:
+    ends = [((0, float(x1), float(y1)), (0, float(x2), float(y2))) for (x1, y1), (x2, y2) in pairs]
+    points = PlacedPoints.of(read_finished_result(folder, 1), scene.errors)
+    for distance in measure(found, scene, [], points, ends).distances:
         at = np.stack([found.pixel[np.argmin(np.linalg.norm(found.points - end, axis=1))] for end in distance.points])
         rays = room.camera.rays(at.T.astype(np.float64))
         t, _ = room.scene.cast(room.camera.centre[:, None], rays)

@@ -17,6 +17,7 @@ from calib.finding import FindingKind
 from calib.geometry import Calibration, Matches, intersect, midpoints
 from calib.numerics import Floats, Ints
 from calib.pointcloud import FittedPlane, by_projector_px
+from calib.refinement import SHARED
 from calib.refusal import NoMeasurementError
 
 _STEP_PX = 0.01  # step in projector pixels, for derivatives
@@ -35,18 +36,20 @@ class Budget:
     """The uncertainty budget of one number: standard deviations by source.
 
     `scatter`: noise of single matches; `smooth`: errors of the decoder that neighbouring matches share; `calibration`:
-    its covariance, 0 if unknown; `scale`: the known length. `sigma` combines them.
+    its covariance, 0 if unknown; `scale`: the known length; `poses`: those of the scans that the points are of, 0 for
+    one scan. `sigma` combines them.
     """
 
     scatter: float
     smooth: float
     calibration: float
     scale: float
+    poses: float = 0.0
 
     @property
     def sigma(self) -> float:
         """The combined standard uncertainty."""
-        return float(np.sqrt(self.scatter**2 + self.smooth**2 + self.calibration**2 + self.scale**2))
+        return float(np.linalg.norm([self.scatter, self.smooth, self.calibration, self.scale, self.poses]))
 
 
 @dataclass(frozen=True)
@@ -178,6 +181,14 @@ class SystematicErrors:
             effects[..., cause] = (ahead - behind) / 2
         effects[..., -1] = function(_grown(self.calibration, self.log_scale[-1])) - here
         return effects
+
+    @property
+    def steps(self) -> Floats:
+        """The step (S, 21) of the calibration's columns that each source of one sigma is; 0 for those that are none."""
+        if self.uncertainty is None:
+            return np.zeros((len(self.log_scale), SHARED))
+        along = np.sqrt(self.uncertainty.along.probability)[:, None] * self.uncertainty.along.steps
+        return np.concatenate([along, _directions(self.uncertainty), np.zeros((2, SHARED))])
 
     @cached_property
     def _along(self) -> list[tuple[Calibration, float]]:

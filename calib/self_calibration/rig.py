@@ -22,17 +22,28 @@ from calib.diagnostics import (
     uncertainty_of,
 )
 from calib.finding import Finding, FindingKind, Severity
-from calib.geometry import Calibration, Corner, Intrinsics, Matches, Pose, TooFewMatchesError, before_the_matches
+from calib.geometry import (
+    PER_POSE,
+    Calibration,
+    Corner,
+    Intrinsics,
+    Matches,
+    Pose,
+    TooFewMatchesError,
+    before_the_matches,
+)
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     CAMERA,
     ORDINARY_LENSES,
+    SHARED,
     SQUARENESS_DEG,
     Knowledge,
     LensPrior,
     Refinement,
     Shift,
     Shifts,
+    State,
     covariance_of_smooth_errors,
     family_of,
     into_cells,
@@ -100,7 +111,9 @@ class SelfCalibration:
     Standard deviations of the intrinsics: `at_rest_percent` without shifts of the matches, `likely_percent` from
     likely shifts alone, `possible_percent` from undetectable shifts; all are part of the sigmas. `known`: the
     calibration it was combined with, if any. `next_view`: where another capture would help most; None if no view sees
-    the corner or the method does not compute it.
+    the corner or the method does not compute it. `corners_covariance` (21 + 6 n, 21 + 6 n): of the calibration's
+    columns and, for each of n captures, of the rotation of its corner about the camera's axes and the shift of its
+    vertex as a share of its distance.
     """
 
     calibration: Calibration
@@ -117,6 +130,7 @@ class SelfCalibration:
     possible_percent: float = 0.0
     known: KnownCalibration | None = None
     next_view: NextView | None = None
+    corners_covariance: Floats | None = None
 
     @property
     def metric(self) -> Calibration:
@@ -124,6 +138,12 @@ class SelfCalibration:
         if self.known is None or self.uncertainty is None:
             return self.calibration
         return self.known.metric(self.calibration, self.uncertainty)
+
+
+def _columns_of_corners(state: State) -> Ints:
+    """The columns of the calibration, and of each capture's corner without its further planes."""
+    starts = [state.corner_columns(i).start for i in range(len(state.corners))]
+    return np.concatenate([np.arange(SHARED), *(np.arange(start, start + PER_POSE) for start in starts)])
 
 
 @singular_refused(RIG)
@@ -379,6 +399,7 @@ def _by_refinement(
                 possible_percent,
                 known,
                 next_view,
+                refinement.covariance[np.ix_(*[_columns_of_corners(fit.state)] * 2)],
             )
         )
     return tuple(results)

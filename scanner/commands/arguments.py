@@ -222,12 +222,12 @@ def of_measure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--distance",
         nargs=4,
-        type=float,
         action="append",
         default=[],
         metavar=("X1", "Y1", "X2", "Y2"),
-        help="distance between the points at two camera pixels",
+        help="distance between the points at two camera pixels; 2:X1 is a pixel of the second capture or station",
     )
+    add_capture(parser)
     add_out(parser, "folder for measure.json and measure.png", default="beside the result")
     add_flag(parser, "--shares", "show where each sigma comes from")
     add_overwrite(parser, "measurement there")

@@ -7,6 +7,8 @@ from scanner.io import new_files, refuse_existing
 from scanner.measuring import (
     FIGURE_FILE,
     MEASURE_FILE,
+    PixelPlace,
+    PlacedPoints,
     measure,
     read_scene,
     shares_table,
@@ -15,7 +17,8 @@ from scanner.measuring import (
     write_figure,
 )
 from scanner.quantities import parse_length
-from scanner.results import path_beside, read_finished_scan
+from scanner.results import path_beside, read_finished_result
+from scanner.shown_text import shown
 from scanner.ui import Terminal
 
 _ASSUMED_ANGLES = (
@@ -29,14 +32,18 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     out = args.out or path_beside(args.result, "-measured")
     with terminal.step("Measuring"):
-        scan = read_finished_scan(args.result)
+        result = read_finished_result(args.result, args.capture)
+        count, newest = len(result.stations), result.stations[-1]
+        scan = newest.scan
         diameters = [parse_length(text, scan.unit) for text in args.sphere]
-        scene = read_scene(args.result, scan.calibration)
-        measured = measure(scan, scene, diameters, [(x1, y1, x2, y2) for x1, y1, x2, y2 in args.distance])
+        pairs = [(_pixel(x1, y1, count), _pixel(x2, y2, count)) for x1, y1, x2, y2 in args.distance]
+        scene = read_scene(args.result, scan.calibration, newest.folder)
+        measured = measure(scan, scene, diameters, PlacedPoints.of(result, scene.errors), pairs)
     if not (measured.pictured or measured.distances):
+        of_scan = "1:X1 Y1 2:X2 Y2, of the pixels of stations 1 and 2" if count > 1 else "X1 Y1 X2 Y2"
         raise InputError(
             f"{args.result}: its matches have no faces to measure; give a ball with --sphere 50.8mm, or a distance "
-            "with --distance X1 Y1 X2 Y2"
+            f"with --distance {of_scan}"
         )
     for name in (MEASURE_FILE, FIGURE_FILE):
         refuse_existing(out / name, overwrite=args.overwrite)
@@ -48,6 +55,8 @@ def run(args: Namespace) -> None:
     if not measured.pictured:
         (out / FIGURE_FILE).unlink(missing_ok=True)  # of an earlier measurement
     terminal.show(measured.scene.sentence, *tables(measured))
+    if count > 1 and measured.pictured:
+        terminal.show(f"Faces and balls are those of {newest.name} of {count}; --capture N measures in another.")
     if args.shares:
         terminal.show(shares_table(measured))
     if measured.scene.angles:
@@ -57,3 +66,20 @@ def run(args: Namespace) -> None:
         terminal.show("→ The same command with --shares --overwrite shows where each sigma comes from.")
     else:
         terminal.show(f"→ scan view {args.result} measures between points that are clicked on.")
+
+
+def _pixel(x: str, y: str, count: int) -> PixelPlace:
+    """The scan, of `count`, and the pixel that a distance names: '600' '500' is of the newest, '2:600' '500' of the
+    second. Raises InputError.
+    """
+    station, _, column = x.rpartition(":")
+    try:
+        number, at = int(station or count), (float(column), float(y))
+    except ValueError as error:
+        raise InputError(
+            f"--distance: expected a pixel as two numbers, with the number of a capture or station before it if there "
+            f"are several, as in 600 500 or 2:600 500, found {shown(x)} {shown(y)}"
+        ) from error
+    if not 1 <= number <= count:
+        raise InputError(f"--distance: expected the number of a capture or station, 1 to {count}, found {number}")
+    return (number - 1, *at)

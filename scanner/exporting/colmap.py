@@ -46,7 +46,7 @@ class _Chosen:
 def export(request: ExportRequest) -> list[str]:
     """Write the model. Raises InputError and OSError."""
     result = read_finished_result(request.result, request.capture)
-    scans = [(station.scan, station.place) for station in result.stations]
+    scans = [(station.scan, station.place) for station in result.stations_before_camera]
     model = write_colmap(request.out, scans, most_points=request.most_points, overwrite=request.overwrite)
     chosen = "all of them" if model.step == 1 else f"one for each {model.step} × {model.step} camera pixels"
     total, unit = sum(len(scan) for scan, _ in scans), unit_name(result.unit)

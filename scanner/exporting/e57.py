@@ -29,12 +29,13 @@ def export(request: ExportRequest) -> list[str]:
     """Write the cloud. Raises InputError and OSError."""
     refuse_without_pye57()
     result = read_finished_result(request.result, request.capture)
-    upright = IDENTITY if result.listing else Pose(_Z_UP_FROM_CAMERA, np.zeros(3))
+    upright = IDENTITY if result.is_joined else Pose(_Z_UP_FROM_CAMERA, np.zeros(3))
     metres, findings = in_metres(result.unit)
     with new_file(request.out, overwrite=request.overwrite) as path:
-        points = write_e57(path, [replace(scan, place=upright @ scan.place) for scan in result.stations], metres)
-    scans = f"{result.of_how_many}, each a scan of its own," if len(result.stations) > 1 else ""
-    return [f"{points:,} points{scans} in metres", *noted(findings)]
+        scans = [replace(scan, place=upright @ scan.place) for scan in result.stations_before_camera]
+        points = write_e57(path, scans, metres)
+    of_scans = f"{result.of_how_many}, each a scan of its own," if len(scans) > 1 else ""
+    return [f"{points:,} points{of_scans} in metres", *noted(findings)]
 
 
 def refuse_without_pye57() -> None:

@@ -22,7 +22,7 @@ def export(request: ExportRequest) -> list[str]:
     result = read_finished_result(request.result, request.capture)
     if result.mesh is not None:
         return _as_it_is(request, result.mesh)
-    mesh = build_joint_mesh(result.stations)
+    mesh = build_joint_mesh(result.stations_before_camera)
     unit, findings = unit_name(result.unit), list[Finding]()
     with new_file(request.out, overwrite=request.overwrite) as path:
         match path.suffix.lower():

@@ -40,7 +40,7 @@ def export(request: ExportRequest) -> list[str]:
     if result.mesh is not None:
         points, triangles = read_triangles(result.mesh)
     else:
-        mesh = build_joint_mesh(result.stations)
+        mesh = build_joint_mesh(result.stations_before_camera)
         points, triangles = metres * mesh.points * Y_UP_FROM_CAMERA, mesh.triangles
     points = _MM * points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]  # y up to z up
     with new_file(request.out, overwrite=request.overwrite) as path:

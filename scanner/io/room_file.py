@@ -93,11 +93,12 @@ class _PosesEntry(Entry):
     cameras: list[_PoseEntry] = Field(min_length=1)
 
 
-def write_poses(path: Path, poses: Sequence[Pose]) -> None:
-    """Write a pose for each capture, oldest first: X_cloud = rotation X_camera + position. Raises OSError."""
-    entries = [{"rotation": pose.rotation.tolist(), "position": pose.translation.tolist()} for pose in poses]
-    lines = [f"  - {flow_yaml(entry)}" for entry in entries]
-    path.write_text("\n".join(["cameras:", *lines]) + "\n", encoding="utf-8")
+def write_poses(path: Path, poses: Sequence[Pose], more: dict[str, Any] | None = None) -> None:
+    """Write a pose for each capture, oldest first: X_cloud = rotation X_camera + position; `more` keys. Raises
+    OSError.
+    """
+    cameras = [{"rotation": pose.rotation.tolist(), "position": pose.translation.tolist()} for pose in poses]
+    write_room(path, {"cameras": cameras} | (more or {}))
 
 
 def read_poses(path: Path, count: int) -> tuple[Pose, ...]:

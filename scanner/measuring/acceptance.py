@@ -86,7 +86,7 @@ def parse_ball_bar(text: str, unit: str) -> BallBar:
 
 def errors_of(name: str, scan: FinishedScan, scene: MeasuredScene, ball_bar: BallBar) -> tuple[Error, ...]:
     """Compute the errors of one placement. Raises NoMeasurementError if a sphere is not found."""
-    measured = measure(scan, scene, list(ball_bar.diameters), [])
+    measured = measure(scan, scene, list(ball_bar.diameters))
     errors: list[Error] = []
     for number, (sphere, nominal) in enumerate(zip(measured.spheres, ball_bar.diameters, strict=True), start=1):
         of, points = f"sphere {number}", len(sphere.errors.residual)

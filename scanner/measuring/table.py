@@ -8,7 +8,7 @@ from calib.diagnostics import Budget
 from scanner.measuring.measurements import AngleMeasurement, Measurements, PointAngle, SphereMeasurement
 from scanner.quantities import Quantity, ShownUnit, empty_table, shown_unit
 
-_SHARES = ("scatter", "smooth", "calibration", "scale")
+_SHARES = ("scatter", "smooth", "calibration", "scale", "poses")
 
 
 def tables(measured: Measurements) -> Iterator[Table]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.diagnostics import PoseErrors
 from calib.geometry import Calibration
 from calib.numerics import Floats
 from calib.objects import AlternativePose, Turntable
@@ -22,7 +23,7 @@ class SolvedObject:
     `JointEstimate`. `apart` (H, W) of each station: distance of its points in front of the others' surfaces, NaN where
     unknown. `turntable`: None if the poses are not those of one; `axis` (2, 3): a point and a direction in the thing's
     frame. `loose`: stations that can rotate or slide. `rests`: share of the visible surfaces that did not move and was
-    left out.
+    left out. `pose_errors`: for the given calibration.
     """
 
     calibration: Calibration
@@ -36,6 +37,7 @@ class SolvedObject:
     loose: tuple[int, ...]
     outlier_stations: tuple[OutlierStation, ...]
     rests: float
+    pose_errors: PoseErrors
 
     @property
     def unit(self) -> str:

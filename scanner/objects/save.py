@@ -17,6 +17,7 @@ from scanner.results import (
     OBJECT_MESH_FILE,
     REPORT_FILE,
     finding_entries,
+    pose_error_entries,
     provenance,
 )
 from scanner.rooms.station_files import outlier_entries, station_entries, write_stations, write_textured
@@ -49,6 +50,7 @@ def entries_of(solved: SolvedObject, surface: ObjectSurface | None) -> dict[str,
         "unit": solved.unit,
         "stations": [station_entries(station) for station in solved.stations],
     }
+    entries |= pose_error_entries(solved.pose_errors, solved.calibration.pose.translation)
     if solved.turntable is not None and solved.axis is not None:
         point, direction = solved.axis.tolist()
         angles = np.round(solved.turntable.angles_deg, 4).tolist()

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
+from calib.diagnostics import PoseErrors
 from calib.finding import Finding, FindingKind, Severity
-from calib.geometry import Calibration, Intrinsics, Pose
+from calib.geometry import PER_POSE, Calibration, Intrinsics, Pose
 from calib.numerics import Floats
 from calib.objects import (
     FEWEST_PIXELS,
@@ -27,6 +29,7 @@ from calib.objects import (
     within,
 )
 from calib.pointcloud import Cloud, build_cloud
+from calib.refinement import SHARED
 from calib.refusal import NoMeasurementError
 from calib.registration import NOTHING_SEEN, relative_noise
 from scanner.configuration import Config
@@ -229,7 +232,15 @@ def _finished(
         tuple(loose),
         outlier_stations,
         rests,
+        _pose_errors(covariance, joint.middle, upright),
     )
+
+
+def _pose_errors(covariance: Floats, middle: Floats, upright: Pose) -> PoseErrors:
+    """From the poses' covariance about the estimate's middle, in the object's frame; the calibration is given."""
+    motion = upright.adjoint @ Pose(np.eye(3), middle).adjoint
+    joint = block_diag(np.zeros((SHARED, SHARED)), covariance)
+    return PoseErrors.from_joint(joint, [motion] * (len(covariance) // PER_POSE))
 
 
 def _upright(joint: JointEstimate, turntable: Turntable | None) -> Pose:

@@ -6,7 +6,12 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from scipy.linalg import block_diag
+
+from calib.diagnostics import PoseErrors
 from calib.finding import Finding, FindingKind, Severity, of_kinds
 from calib.geometry import Calibration
 from calib.pointcloud import MergedCloud
@@ -33,6 +38,7 @@ from scanner.results import (
     decoded_of,
     findings_on,
     folder_of,
+    pose_error_entries,
     provenance,
     solution_of,
     titles_of,
@@ -160,7 +166,7 @@ def _save(
                 written.append(pool.submit(write_ply, place / CLOUD_FILE, capture.cloud, match=capture.cloud.match))
         if merged is not None:
             written.append(pool.submit(write_merged_ply, folder / MERGED_FILE, merged))
-            write_poses(folder / POSES_FILE, merged.from_cameras)
+            write_poses(folder / POSES_FILE, merged.from_cameras, _pose_errors(captures, merged))
         # The files are still being written while the reports list them.
         joint = JointCaptures(count, findings=(_one_of(count),))
         for place, capture in zip(places[:-1], captures[:-1], strict=True):
@@ -169,6 +175,21 @@ def _save(
         _write_report(folder, captures[-1], JointCaptures(count, rows, merged, own_findings), truth, made)
         for each in written:
             each.result()
+
+
+def _pose_errors(captures: Sequence[Reconstructed | Refused], merged: MergedCloud) -> dict[str, Any]:
+    """Keys with the errors of the cameras' poses in the merged cloud; none where the method knows none."""
+    newest = captures[-1]
+    solution = None if isinstance(newest, Refused) else solution_of(newest)
+    if solution is None or solution.corners_covariance is None:
+        return {}
+    # A corner that rotates and shifts before its camera moves the points of that capture the other way.
+    motions = []
+    for pose in merged.from_cameras:
+        turned, moved = -pose.rotation, -float(np.linalg.norm(pose.inverse().translation)) * pose.rotation
+        motions.append(block_diag(turned, moved))
+    errors = PoseErrors.from_joint(solution.corners_covariance, motions)
+    return pose_error_entries(errors, solution.calibration.pose.translation)
 
 
 def _one_of(count: int) -> Finding:

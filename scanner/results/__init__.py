@@ -37,7 +37,6 @@ from scanner.results.names import (
     refuse_occupied,
     unused,
 )
-from scanner.results.older_results import place_camera
 from scanner.results.provenance import Provenance, provenance
 from scanner.results.result_folder import OutputFolder, new_result
 from scanner.results.stages import (
@@ -58,6 +57,7 @@ from scanner.results.stages import (
     solution_of,
     titles_of,
 )
+from scanner.results.stated_pose_errors import pose_error_entries, read_pose_errors
 from scanner.results.stated_uncertainty import (
     COLUMNS,
     confidence_entries,

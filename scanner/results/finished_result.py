@@ -1,6 +1,6 @@
 """A result folder read back as scans, each with its pose: one capture, several of a corner, a room's or an object's."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib.geometry import IDENTITY, Pose
@@ -40,29 +40,42 @@ class PlacedScan:
 
 @dataclass(frozen=True)
 class FinishedResult:
-    """Scans in one frame: a room's or an object's own, z up; of captures of a corner, the newest camera's."""
+    """Scans in the frame of their joint cloud."""
 
     unit: str
     """Of all lengths."""
     stations: tuple[PlacedScan, ...]
     """In the order of their numbers, from 1."""
     cloud: Path
-    """The file of the cloud of all of them: of captures of a corner, in the corner's frame."""
+    """The file of the cloud of all of them."""
     mesh: Path | None = None
     """The file of their mesh; None unless they are of a room or an object."""
-    listing: str = ""
-    """The name of the file that lists the stations of a room or of an object."""
+    listing: Path | None = None
+    """The file with the poses; None of a single capture."""
 
     @property
     def is_object(self) -> bool:
         """Whether the stations are those of an object."""
-        return self.listing == OBJECT_FILE
+        return self.listing is not None and self.listing.name == OBJECT_FILE
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether the stations are those of a room or an object, whose frame is upright."""
+        return self.mesh is not None
+
+    @property
+    def stations_before_camera(self) -> tuple[PlacedScan, ...]:
+        """The stations in the frame that files are written in: of captures of a corner the newest camera's."""
+        if self.is_joined:
+            return self.stations
+        before = self.stations[-1].place.inverse()
+        return tuple(replace(station, place=before @ station.place) for station in self.stations)
 
     @property
     def of_how_many(self) -> str:
         """' of 3 captures', ' of 6 stations', or '' for a single capture."""
         count = len(self.stations)
-        return "" if count == 1 else f" of {count} {'stations' if self.listing else 'captures'}"
+        return "" if count == 1 else f" of {count} {'stations' if self.is_joined else 'captures'}"
 
 
 def read_joined(folder: Path) -> FinishedResult | None:
@@ -73,7 +86,7 @@ def read_joined(folder: Path) -> FinishedResult | None:
     stored = read_room(folder / listing)
     stations = (PlacedScan(station.name, folder / station.folder, station.place) for station in stored.stations)
     cloud, mesh = (folder / name for name in _JOINED[listing])
-    return FinishedResult(stored.unit, tuple(stations), cloud, mesh, listing)
+    return FinishedResult(stored.unit, tuple(stations), cloud, mesh, folder / listing)
 
 
 def read_finished_result(folder: Path, capture: int | None = None) -> FinishedResult:
@@ -101,8 +114,8 @@ def read_finished_result(folder: Path, capture: int | None = None) -> FinishedRe
         )
     poses = read_poses(folder / POSES_FILE, count)
     placed = enumerate(zip(folders, poses, strict=True), start=1)
-    stations = tuple(PlacedScan(f"capture {n}", path, poses[-1].inverse() @ pose) for n, (path, pose) in placed)
-    return FinishedResult(unit, stations, folder / MERGED_FILE)
+    stations = tuple(PlacedScan(f"capture {n}", path, pose) for n, (path, pose) in placed)
+    return FinishedResult(unit, stations, folder / MERGED_FILE, listing=folder / POSES_FILE)
 
 
 def capture_folders(folder: Path) -> list[Path]:

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.geometry import Calibration, Corner, Matches, Pose, intersect
+from calib.geometry import Calibration, Matches, intersect
 from calib.numerics import Bools, Floats, Ints
 
 # Cloud coordinates are rounded to 24 bits, far less than this share of a point's distance.
@@ -25,16 +25,3 @@ def find_matches(points: Floats, matches: Matches, calibration: Calibration) -> 
         return None
     nearest = usable[cKDTree(met.points[usable]).query(points)[1]]
     return nearest if np.all(same_points(points, met.points[nearest])) else None
-
-
-def place_camera(points: Floats, corner: Corner, merged: Floats) -> Pose:
-    """The pose of a camera in the merged cloud's frame, which is the corner's.
-
-    The corner's axes are numbered so that `points` (N, 3) in the camera's frame fit the points of the `merged` cloud
-    (M, 3) best.
-    """
-    turned = [np.roll(corner.axes, turn, axis=0) for turn in range(3)]
-    tree = cKDTree(merged)
-    misses = [np.median(tree.query((points - corner.vertex) @ rotation.T)[0]) for rotation in turned]
-    rotation: Floats = turned[int(np.argmin(misses))]
-    return Pose(rotation, -rotation @ corner.vertex)

@@ -54,7 +54,7 @@ def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dic
 
 def covariance_entries(uncertainty: Uncertainty) -> dict[str, Any]:
     """A key for a calibration file."""
-    to_file = _columns_of_file(uncertainty.state.pose.translation)
+    to_file = columns_of_file(uncertainty.state.pose.translation)
     covariance = {
         "columns": [*COLUMNS],
         "match_px": float(uncertainty.match_px),
@@ -87,7 +87,7 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
         )
     camera, projector = device_of(calibration.camera), device_of(calibration.projector)
     state = State(camera, projector, calibration.pose.in_baselines)
-    to_file = _columns_of_file(state.pose.translation)
+    to_file = columns_of_file(state.pose.translation)
     # The columns of `to_file` are orthonormal.
     covariance = to_file.T @ values @ to_file
     along = _along(path, entry.along, to_file)
@@ -161,7 +161,7 @@ def _along(path: Path, entry: _AlongEntry | None, to_file: Floats) -> Along:
     return Along(steps @ to_file, np.array(entry.probability))
 
 
-def _columns_of_file(direction: Floats) -> Floats:
+def columns_of_file(direction: Floats) -> Floats:
     """What a step (21,) of the model moves, (22, 21): instead of two tangents, the three components of `direction`."""
     to_file = np.zeros((len(COLUMNS), SHARED))
     to_file[: ROTATION.stop, : ROTATION.stop] = np.eye(ROTATION.stop)

@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from calib.diagnostics import PoseErrors
+from calib.geometry import Pose
 from scanner.configuration import Config
 from scanner.io import write_room, write_room_ply
 from scanner.results import (
@@ -15,6 +17,7 @@ from scanner.results import (
     ROOM_FILE,
     ROOM_MESH_FILE,
     finding_entries,
+    pose_error_entries,
     provenance,
 )
 from scanner.rooms.blended_cloud import blended
@@ -62,6 +65,7 @@ def entries_of(room: SolvedRoom) -> dict[str, Any]:
         "stations": [station_entries(each) | {"residual_px": each.residual_px} for each in room.stations],
         "planes": [_plane(room, number) for number in range(len(room.planes))],
     }
+    entries |= pose_error_entries(pose_errors(room), room.calibration.pose.translation)
     entries |= outlier_entries(room.outlier_stations)
     entries["findings"] = finding_entries(verdict_on(room).findings)
     if room.group.ambiguous:
@@ -73,6 +77,17 @@ def entries_of(room: SolvedRoom) -> dict[str, Any]:
             for each in room.group.alternatives
         ]
     return entries
+
+
+def pose_errors(room: SolvedRoom) -> PoseErrors:
+    """Of the stations' poses, in the room's frame and unit."""
+    estimate = room.estimate.room
+    columns = slice(0, estimate.place_columns(len(estimate.places) - 1).stop)
+    to_room = room.upright.scaled(room.factor).adjoint @ np.diag([1.0] * 3 + [room.factor] * 3)
+    about_origin = [Pose(np.eye(3), place.translation).adjoint for place in estimate.places]
+    return PoseErrors.from_joint(
+        room.estimate.covariance[columns, columns], [to_room @ motion for motion in about_origin]
+    )
 
 
 def _plane(room: SolvedRoom, number: int) -> dict[str, Any]:

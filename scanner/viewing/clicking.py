@@ -8,7 +8,7 @@ import viser
 from calib.numerics import Floats
 from scanner.shown_text import unbroken
 from scanner.viewing.picking import KnownScale, Picked, point_at
-from scanner.viewing.result import CaptureCloud, ViewedCloud
+from scanner.viewing.result import ViewedCloud
 from scanner.viewing.scene import CloudScene
 from scanner.viewing.texts import bold, escaped
 from scanner.viewing.view_controls import PLAIN, failures_shown
@@ -26,8 +26,9 @@ class Clicking:
     def __init__(self, gui: viser.GuiApi, scene: CloudScene, cloud: ViewedCloud, set_scale: SetScale | None) -> None:
         self._scene, self._set_scale = scene, set_scale
         self._lock = Lock()
-        self._picked = Picked(cloud) if isinstance(cloud, CaptureCloud) else None
-        self._measured = gui.add_markdown("In the cloud of one capture: choose it above.")
+        self._cloud = cloud
+        self._picked = None if cloud.scans is None else Picked(cloud.scans)
+        self._measured = gui.add_markdown("This cloud has no scans to measure in.")
         if self._picked is None:
             return
         gui.add_button("Forget the points", color=PLAIN).on_click(lambda _: self._forget())
@@ -47,14 +48,14 @@ class Clicking:
         with self._lock:
             if self._picked is None:
                 return
-            point = point_at(self._picked.cloud.points, origin, direction)
+            point = point_at(self._cloud.points, origin, direction)
             if point is not None:
-                self._show(self._picked.with_point(point))
+                self._show(self._picked.with_point(self._cloud.point_number(point)))
 
     def _forget(self) -> None:
         with self._lock:
             if self._picked is not None:
-                self._show(Picked(self._picked.cloud))
+                self._show(Picked(self._picked.scans))
 
     def _show(self, picked: Picked) -> None:
         self._picked = picked

@@ -6,9 +6,8 @@ import numpy as np
 
 from calib.geometry import Calibration
 from calib.numerics import Floats
-from scanner.measuring import DistanceMeasurement, angle_at, angle_cells, distance_between
+from scanner.measuring import DistanceMeasurement, PlacedPoints, PointNumber, angle_cells
 from scanner.quantities import shown_unit
-from scanner.viewing.result import CaptureCloud
 
 _LARGEST_SHARE = 0.2  # largest share of a length that its sigma may have in a configuration
 
@@ -71,46 +70,48 @@ def point_at(points: Floats, origin: Floats, direction: Floats) -> int | None:
 
 @dataclass(frozen=True)
 class Picked:
-    """Points of a cloud in the order of the clicks, by number."""
+    """Points of scans in the order of the clicks."""
 
-    cloud: CaptureCloud
-    points: tuple[int, ...] = ()
+    scans: PlacedPoints
+    points: tuple[PointNumber, ...] = ()
 
-    def with_point(self, point: int) -> "Picked":
+    def with_point(self, point: PointNumber) -> "Picked":
         """Add a point. After three points, or at a point that is already picked, start again with this one."""
         begins = len(self.points) == _MOST or point in self.points
-        return Picked(self.cloud, (point,) if begins else (*self.points, point))
+        return Picked(self.scans, (point,) if begins else (*self.points, point))
 
     @property
     def places(self) -> Floats:
         """The positions of the points in the cloud's frame, (n, 3)."""
-        return self.cloud.points[[*self.points]].reshape(-1, 3)
+        return np.reshape([self.scans.position(point) for point in self.points], (-1, 3))
 
     @property
     def distance(self) -> DistanceMeasurement | None:
         """Between two points; None unless there are two."""
-        return distance_between(self.cloud.scan, self.cloud.scene, self.points) if len(self.points) == 2 else None
+        match self.points:
+            case (first, second):
+                return self.scans.distance((first, second))
+        return None
 
     def scale(self, known_m: float, sigma_m: float) -> KnownScale | None:
         """Return the scale that makes their distance `known_m`; None unless there are two points, precise enough."""
         distance = self.distance
-        return None if distance is None else scale_from(distance, self.cloud.scan.calibration, known_m, sigma_m)
+        return None if distance is None else scale_from(distance, self.scans.errors.calibration, known_m, sigma_m)
 
     def text(self) -> str:
         """Describe the measurement (Markdown)."""
-        scan, scene, unit = self.cloud.scan, self.cloud.scene, shown_unit(self.cloud.unit)
+        unit = shown_unit(self.scans.unit)
         match self.points:
             case ():
                 return "Click on a point of the cloud; on two for a distance, on three for the angle at the second."
             case (one,):
-                x, y, z = (unit.number(value) for value in scan.points[one])
-                column, row = scan.pixel[one]
-                return f"Camera pixel ({column}, {row}): x {x}, y {y}, z {z} {unit.name}"
+                x, y, z = (unit.number(float(value)) for value in self.scans.position(one))
+                return f"{self.scans.name(one).capitalize()}: x {x}, y {y}, z {z} {unit.name}"
             case (first, second):
-                distance = distance_between(scan, scene, (first, second))
+                distance = self.scans.distance((first, second))
                 sigma = distance.budget.sigma if distance.budget else None
                 return f"Distance: **{unit.length(distance.distance, sigma)}**"
             case (first, second, third):
-                angle, sigma_cell = angle_cells(angle_at(scan, scene, (first, second, third)))
+                angle, sigma_cell = angle_cells(self.scans.angle((first, second, third)))
                 return f"Angle: **{angle} {sigma_cell}**"
         raise ValueError(f"{len(self.points)} points selected: expected one, two or three")

@@ -1,7 +1,6 @@
 """A result folder as something to look at: its clouds, each with the rigs that saw it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Literal
@@ -14,8 +13,8 @@ from calib.geometry import IDENTITY, Calibration, Matches, Pose
 from calib.numerics import Floats
 from calib.pointcloud import point_covariances
 from scanner.errors import InputError
-from scanner.io import read_calibration, read_cloud, read_poses
-from scanner.measuring import MeasuredScene, read_scene
+from scanner.io import CloudPoints, read_calibration, read_cloud
+from scanner.measuring import MeasuredScene, PlacedPoints, PointNumber, read_scene, rig_errors
 from scanner.quantities import FACE_NAMES, device_names
 from scanner.rendering import photograph
 from scanner.results import (
@@ -25,12 +24,14 @@ from scanner.results import (
     TRUTH_FILE,
     FinishedResult,
     FinishedScan,
+    PlacedScan,
     Verdict,
     capture_folders,
-    place_camera,
     read_calibration_of,
+    read_finished_result,
     read_finished_scan,
     read_joined,
+    read_uncertainty,
     read_verdict,
 )
 from scanner.viewing.corner import MeasuredCorner, measured_corner
@@ -38,7 +39,6 @@ from scanner.viewing.decimation import shuffled
 from scanner.viewing.white_picture import read_white_picture
 
 ALL_CAPTURES, WHOLE_ROOM, WHOLE_THING = "All captures, merged", "The whole room", "The whole thing"
-_PLACING_POINTS = 100_000
 _AT_ONCE = 100_000  # covariances are large
 
 
@@ -80,11 +80,19 @@ class ViewedCloud:
     up: Floats
     unit: str
     frame: Literal["camera", "corner", "room"]
+    scans: PlacedPoints | None = field(default=None, kw_only=True)
+    """What the cloud was made of, in its frame, to measure in; None if there is nothing."""
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
         """The points in an order whose every beginning is an even choice of them, (N,)."""
         return shuffled(len(self.points)).astype(np.int64)
+
+    def point_number(self, index: int) -> PointNumber:
+        """The scan's point that a point of the cloud is, or is nearest to. Raises InputError if a scan is damaged."""
+        if self.scans is None:
+            raise ValueError("there are no scans to measure in")
+        return PointNumber(0, index) if len(self.scans.stations) == 1 else self.scans.nearest(self.points[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +170,8 @@ class ViewedResult:
         """Return the names of the clouds, the best first."""
         if self._room is not None:
             return (WHOLE_THING if self._room.is_object else WHOLE_ROOM, *self._captures)
-        merged = (ALL_CAPTURES,) if (self.folder / MERGED_FILE).is_file() else ()
+        is_merged = all((self.folder / name).is_file() for name in (MERGED_FILE, POSES_FILE))
+        merged = (ALL_CAPTURES,) if is_merged else ()
         return (*merged, *self._captures)
 
     @cached_property
@@ -186,8 +195,10 @@ class ViewedResult:
             return self._whole(self._room)
         folder = self._captures[name]
         scan = read_finished_scan(folder)
-        scene = read_scene(folder, scan.calibration)
+        # The stations of a room do not repeat how uncertain their common calibration is.
+        scene = read_scene(self.folder if self._room else folder, scan.calibration, folder)
         corner = measured_corner(scan, scene)
+        alone = PlacedScan(name, folder, IDENTITY)
         return CaptureCloud(
             scan.points,
             scan.normals,
@@ -199,45 +210,43 @@ class ViewedResult:
             "camera",
             scan,
             scene,
+            scans=PlacedPoints(scan.unit, (alone,), scene.errors, None),
         )
 
     def _whole(self, room: FinishedResult) -> ViewedCloud:
-        cloud = read_cloud(room.cloud)
-        if not len(cloud):
-            raise InputError(f"{room.cloud}: the cloud is empty")
-        rigs = tuple(
-            PlacedRig(scan.calibration, station.place, _picture(station.folder, scan))
-            for station, scan in ((station, station.scan) for station in reversed(room.stations))
-        )
+        cloud, rigs = _whole_cloud(room), self._rigs(room)
         up = np.array([0.0, 0.0, 1.0])
-        return ViewedCloud(cloud.points, cloud.normals, cloud.colours, rigs, None, up, room.unit, "room")
+        errors = rig_errors(self.calibration, read_uncertainty(self.folder / CALIBRATION_FILE, self.calibration))
+        scans = PlacedPoints.of(room, errors)
+        return ViewedCloud(cloud.points, cloud.normals, cloud.colours, rigs, None, up, room.unit, "room", scans=scans)
 
     def _merged(self) -> ViewedCloud:
-        cloud = read_cloud(self.folder / MERGED_FILE)
-        if not len(cloud):
-            raise InputError(f"{self.folder / MERGED_FILE}: the cloud is empty")
-        rigs, corner = list[PlacedRig](), None
-        for folder, known in zip(self._captures.values(), self._poses(), strict=True):
-            scan = read_finished_scan(folder)
-            wanted = known is None or not rigs
-            found = measured_corner(scan, read_scene(folder, scan.calibration)) if wanted else None
-            pose = known
-            if pose is None and found is not None:
-                some, of_many = (shuffled(len(of))[:_PLACING_POINTS] for of in (scan, cloud))
-                pose = place_camera(scan.points[some], found.corner, cloud.points[of_many])
-            if pose is not None:
-                corner = corner if rigs else found
-                rigs.append(PlacedRig(scan.calibration, pose, _picture(folder, scan)))
+        result = read_finished_result(self.folder)
+        rigs = self._rigs(result)
+        newest = result.stations[-1].scan
+        scene = read_scene(self.folder, newest.calibration)
+        corner = measured_corner(newest, scene)
+        cloud = _whole_cloud(result)
         up = np.array([0.0, 0.0, 1.0 if np.median(cloud.points[:, 2]) >= 0 else -1.0])
-        unit = self.calibration.unit
-        return ViewedCloud(cloud.points, cloud.normals, cloud.colours, tuple(rigs), corner, up, unit, "corner")
+        scans = PlacedPoints.of(result, scene.errors)
+        return ViewedCloud(
+            cloud.points, cloud.normals, cloud.colours, rigs, corner, up, result.unit, "corner", scans=scans
+        )
 
-    def _poses(self) -> Sequence[Pose | None]:
-        """Read the poses of the captures' cameras in the merged cloud, newest first; None if an older result has
-        none.
-        """
-        path = self.folder / POSES_FILE
-        return read_poses(path, len(self._captures))[::-1] if path.is_file() else [None] * len(self._captures)
+    @staticmethod
+    def _rigs(result: FinishedResult) -> tuple[PlacedRig, ...]:
+        """Of all scans, the newest first."""
+        placed = ((station, station.scan) for station in reversed(result.stations))
+        return tuple(
+            PlacedRig(scan.calibration, station.place, _picture(station.folder, scan)) for station, scan in placed
+        )
+
+
+def _whole_cloud(result: FinishedResult) -> CloudPoints:
+    cloud = read_cloud(result.cloud)
+    if not len(cloud):
+        raise InputError(f"{result.cloud}: the cloud is empty")
+    return cloud
 
 
 def _up(corner: MeasuredCorner | None) -> Floats:

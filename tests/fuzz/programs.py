@@ -51,7 +51,7 @@ def results(folder: Path) -> Run:
         if rng.random() < 0.3:
             _spoil_normals(written.folder / "cloud.ply", rng)
         scan = read_finished_scan(written.folder)
-        measured = measure(scan, read_scene(written.folder, found), [], [])
+        measured = measure(scan, read_scene(written.folder, found), [])
         for table in tables(measured):
             console.print(table)
         ViewedResult(written.folder).cloud("The capture")

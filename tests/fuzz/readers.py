@@ -157,15 +157,20 @@ def cloud(folder: Path) -> Run:
 
 def poses(folder: Path) -> Run:
     """`poses.yaml`."""
+    from calib.diagnostics import PoseErrors
+    from calib.refinement import SHARED
     from scanner.io import read_poses, write_poses
+    from scanner.results import pose_error_entries, read_pose_errors
 
     path = folder / "poses.yaml"
-    write_poses(path, [IDENTITY, IDENTITY])
+    errors, direction = PoseErrors(np.eye(12), np.zeros((12, SHARED))), np.array([1.0, 0.0, 0.0])
+    write_poses(path, [IDENTITY, IDENTITY], pose_error_entries(errors, direction))
     seed = yaml.safe_load(path.read_text())
 
     def read(rng: Random) -> None:
         path.write_bytes(of_yaml(seed, rng))
         read_poses(path, 2)
+        read_pose_errors(path, 2, direction)
 
     return guarded(read)
 

@@ -148,7 +148,7 @@ def test_a_sparse_cloud(tmp_path: Path) -> None:
         (("--sphere", "200mm"), 4, ("no trustworthy measurement", "Check the diameter")),
         (("--sphere", "3m"), 4, ("no trustworthy measurement",)),
         (("--sphere", "300mm", "--sphere", "300mm"), 4, ("No sphere with a diameter of 300.00 mm",)),
-        (("--distance", 0, 0, 120, 150), 2, ("no point at camera pixel (0, 0)", "the nearest that has one is")),
+        (("--distance", 0, 0, 120, 150), 2, ("pixel (0, 0) has no point", "the nearest pixel that has one is")),
         (("--distance", 120, 150, 408, 10), 2, ("(408, 10) is outside", "408 × 342")),
         (("--distance", 120, 150, "nan", 10), 2, ("outside",)),
         (("--distance", 120, 150, 120, 150), 2, ("the same",)),

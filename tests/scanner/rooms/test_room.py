@@ -1,5 +1,6 @@
 """`scan room` on a simulated room: poses of the stations, the rig, the walls, and every file of the result."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.verdict import verdict_on
 from scanner.viewing import ViewedResult
 from tests.scanner.rooms.conftest import ORDER, SolvedExample
+from tests.support.command_line import run
 
 
 def to_world(example: SolvedExample) -> Pose:
@@ -148,3 +150,44 @@ def test_the_result_reads_back_and_exports(example: SolvedExample, tmp_path: Pat
     scan = file.read_scan(2, ignore_missing_fields=True, transform=True)
     points = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], axis=1)[::100]
     assert np.median(distances_to_surfaces(example, points)) < 5e-3
+
+
+def test_distances_between_stations_err_by_their_sigmas(example: SolvedExample, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    arguments, truth = list[object](), []
+    for _ in range(60):
+        stations = rng.choice(len(ORDER), 2, replace=False)
+        ends = []
+        for station in stations:
+            true = example.true[station]
+            number = rng.integers(len(true.points))
+            x, y = true.matches.camera_px[number]
+            ends.append(true.place @ true.points[number])
+            arguments += [*(["--distance"] if len(ends) == 1 else []), f"{station + 1}:{x:g}", f"{y:g}"]
+        truth.append(float(np.linalg.norm(ends[1] - ends[0])))
+    assert run("measure", example.out, *arguments, "--out", tmp_path / "m", "--quiet") == 0
+    distances = json.loads((tmp_path / "m/measure.json").read_text())["distances"]
+    errors = [
+        (distance["distance"] - true) / distance["sigma"] for distance, true in zip(distances, truth, strict=True)
+    ]
+    assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
+    assert all(0 < distance["shares"]["poses"] < 5e-3 for distance in distances)
+    assert {distance["between"][0][:8] for distance in distances} == {f"{number}: pixel" for number in (1, 2, 3, 4)}
+
+
+def test_clicking_measures_in_the_whole_room(example: SolvedExample) -> None:
+    whole = ViewedResult(example.out).cloud("The whole room")
+    assert whole.scans is not None
+    first, second = (whole.point_number(index) for index in (100, len(whole.points) - 100))
+    assert np.linalg.norm(whole.scans.position(first) - whole.points[100]) < 0.02
+    budget = whole.scans.distance((first, second)).budget
+    assert budget is not None
+    assert 1e-5 < budget.sigma < 1e-2
+
+
+def test_a_room_without_pixels_to_measure(example: SolvedExample, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("measure", example.out) == 2
+    assert "--distance 1:X1 Y1 2:X2 Y2" in capsys.readouterr().err
+    for words, message in (("7:3", "1 to 4, found 7"), ("a:3", "found 'a:3' '9'")):
+        assert run("measure", example.out, "--distance", words, "9", "20", "20") == 2
+        assert message in capsys.readouterr().err

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from scanner.configuration import ScaleSettings
+from scanner.measuring import PointNumber
 from scanner.viewing.picking import Picked, point_at
 from scanner.viewing.result import CaptureCloud
 from tests.support.result_folder import Written
@@ -26,6 +27,14 @@ def test_a_ray_past_all_points_picks_nothing(cloud: CaptureCloud) -> None:
     assert point_at(cloud.points[:0], np.zeros(3), np.array([0.0, 0.0, 1.0])) is None
 
 
+def picked_points(cloud: CaptureCloud, *numbers: int) -> Picked:
+    assert cloud.scans is not None
+    picked = Picked(cloud.scans)
+    for number in numbers:
+        picked = picked.with_point(cloud.point_number(number))
+    return picked
+
+
 def _true_points(written: Written, cloud: CaptureCloud) -> np.ndarray:
     grid = np.full((*written.scene.texture.shape[:2], 3), np.nan)
     column, row = np.rint(written.scene.matches.camera_px).astype(int).T
@@ -43,7 +52,7 @@ def test_angle_errors_match_their_sigmas(written: Written, cloud: CaptureCloud) 
     true = _true_points(written, cloud)
     errors = []
     for first, second, third in _some(cloud, 3):
-        picked = Picked(cloud).with_point(first).with_point(second).with_point(third)
+        picked = picked_points(cloud, first, second, third)
         angle, sigma = (
             float(word.strip("°*").replace("−", "-")) for word in picked.text().split() if word[0] in "*0123456789"
         )
@@ -57,7 +66,7 @@ def test_two_points_give_a_distance_with_its_sigma(written: Written, cloud: Capt
     true = _true_points(written, cloud)
     errors = []
     for first, second in _some(cloud, 2):
-        words = Picked(cloud, (first, second)).text().strip("*").split()
+        words = picked_points(cloud, first, second).text().strip("*").split()
         assert (words[0], words[2], words[4]) == ("Distance:", "±", "mm")
         truth = 1000 * np.linalg.norm(true[first] - true[second])
         errors.append((float(words[1].strip("*")) - truth) / float(words[3]))
@@ -70,7 +79,7 @@ def test_a_known_distance_gives_the_baseline_with_its_sigma(written: Written, cl
     sigmas = []
     for first, second in _some(cloud, 2):
         length_m = float(np.linalg.norm(true[first] - true[second]))
-        scale = Picked(cloud, (first, second)).scale(length_m, 0.0)
+        scale = picked_points(cloud, first, second).scale(length_m, 0.0)
         if scale is None:
             assert length_m < 0.05
             continue
@@ -78,7 +87,7 @@ def test_a_known_distance_gives_the_baseline_with_its_sigma(written: Written, cl
         assert ScaleSettings.model_validate({key.partition(".")[2]: value for key, value in scale.keys.items()})
     assert 0.8 < np.sqrt(np.mean(np.square(sigmas))) < 1.25
     first, second = _some(cloud, 2)[0]
-    picked = Picked(cloud, (first, second))
+    picked = picked_points(cloud, first, second)
     sure, unsure = picked.scale(1.0, 0.0), picked.scale(1.0, 0.01)
     assert sure is not None
     assert unsure is not None
@@ -87,11 +96,11 @@ def test_a_known_distance_gives_the_baseline_with_its_sigma(written: Written, cl
 
 
 def test_a_fourth_point_starts_a_new_measurement(cloud: CaptureCloud) -> None:
-    picked = Picked(cloud)
+    picked = picked_points(cloud)
     assert picked.text().startswith("Click on a point")
     assert picked.places.shape == (0, 3)
     for number, expected in ((5, (5,)), (9, (5, 9)), (70, (5, 9, 70)), (11, (11,)), (12, (11, 12)), (11, (11,))):
-        picked = picked.with_point(number)
-        assert picked.points == expected
-    assert picked.text().startswith("Camera pixel (")
+        picked = picked.with_point(PointNumber(0, number))
+        assert tuple(number.point for number in picked.points) == expected
+    assert picked.text().startswith("Pixel (")
     assert picked.places.shape == (1, 3)

@@ -9,10 +9,10 @@ import pytest
 
 from calib.diagnostics import Uncertainty
 from calib.geometry import intersect
-from calib.pointcloud import CornerView, build_cloud, merged, point_covariances
+from calib.pointcloud import point_covariances
 from calib.refinement import SHARED, State
 from scanner.errors import InputError
-from scanner.io import read_calibration, write_calibration, write_merged_ply, write_poses
+from scanner.io import read_calibration, write_calibration
 from scanner.rendering import frustum_lines
 from scanner.results import Verdict, confidence_entries
 from scanner.viewing.colouring import Colouring, coloured, possible_colourings
@@ -25,7 +25,7 @@ from scanner.viewing.geometry import (
 )
 from scanner.viewing.result import ALL_CAPTURES, CaptureCloud, ViewedResult
 from tests.support.cloud_scene import room
-from tests.support.result_folder import Written, write_result
+from tests.support.result_folder import Written, corner_pose, write_captures, write_result
 from tests.support.states import device_of
 
 
@@ -163,30 +163,25 @@ def edit_matches() -> Callable[..., None]:
     return edit
 
 
-@pytest.mark.parametrize(("turn", "known"), [(0, True), (1, True), (2, False)])
-def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path, turn: int, known: bool) -> None:
-    """By their poses, which older results lack."""
-    written = write_result(tmp_path / "room")
-    scene = room()
-    calibration = replace(scene.calibration, unit="m")
-    cloud = build_cloud(scene.matches, scene.texture, calibration)
-    view = CornerView(cloud.points, None, calibration.camera, scene.corner)
-    in_corner = merged([cloud], [view], (turn,))
-    write_merged_ply(written.folder / "merged.ply", in_corner)
-    if known:
-        write_poses(written.folder / "poses.yaml", in_corner.from_cameras)
-    result = ViewedResult(written.folder)
-    assert result.names == (ALL_CAPTURES, "The capture")
-    found = result.cloud(ALL_CAPTURES)
-    (rig,) = found.rigs
-    off = np.linalg.norm(rig.position - view.in_corner(np.zeros((1, 3)), turn)[0])
-    assert off == 0 if known else 0 < off < 0.002
-    assert found.corner is not None
-    assert np.abs(rig.pose @ found.corner.corner.vertex).max() < 0.002  # the origin of the merged cloud
-    assert abs(found.up[2]) == 1
-    assert possible_colourings(found) == (Colouring.CAMERA,)
+def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path) -> None:
+    older, newer = write_captures(tmp_path / "corner")
+    result = ViewedResult(tmp_path / "corner")
+    assert result.names == (ALL_CAPTURES, "Capture 2", "Capture 1")
+    merged = result.cloud(ALL_CAPTURES)
+    for rig, written in zip(merged.rigs, (newer, older), strict=True):
+        assert np.allclose(rig.position, corner_pose(written).translation, atol=1e-6)
+        assert rig.picture is not None
+    assert merged.corner is not None
+    assert np.abs(merged.rigs[0].pose @ merged.corner.corner.vertex).max() < 0.002  # the origin of the merged cloud
+    assert abs(merged.up[2]) == 1
+    assert possible_colourings(merged) == (Colouring.CAMERA,)
     with pytest.raises(ValueError, match="cannot be coloured"):
-        coloured(found, found.order[:5], Colouring.FACES)
+        coloured(merged, merged.order[:5], Colouring.FACES)
+    # A click on a point of the older capture measures in that capture.
+    assert merged.scans is not None
+    number = merged.point_number(5)
+    assert (number.station, number.point) == (0, 5)
+    assert np.allclose(merged.scans.position(number), merged.points[5], atol=1e-5)
 
 
 def test_earlier_captures_are_found(tmp_path: Path) -> None:
