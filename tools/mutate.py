@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 from argparse import ArgumentParser, Namespace
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,8 +103,10 @@ def _is_text(node: ast.expr) -> bool:
     return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
 
 
-def survives(mutant: Mutant, copy: Path, tests: list[str], time_limit_s: float) -> bool:
-    """Whether the tests pass with it; one that never ends has noticed, and so has one that cannot be collected."""
+def outcome_of(mutant: Mutant, copy: Path, tests: list[str], time_limit_s: float) -> str:
+    """What the tests say of it: "noticed", also if they cannot even be collected, "SURVIVED", or "endless": they were
+    still running at the limit, because of it or of the machine.
+    """
     file = copy / mutant.path
     source = file.read_bytes()
     # The machine code that Numba keeps is renewed with its file; Python's own is not written at all.
@@ -113,12 +116,12 @@ def survives(mutant: Mutant, copy: Path, tests: list[str], time_limit_s: float) 
         file.write_bytes(mutant.applied(source))
         run = subprocess.run(command, cwd=copy, env=environment, timeout=time_limit_s, capture_output=True)
     except subprocess.TimeoutExpired:
-        return False
+        return "endless"
     finally:
         file.write_bytes(source)
     if run.returncode not in (0, 1, 2, 4):
         raise SystemExit(f"{mutant}\n{run.stdout.decode()}{run.stderr.decode()}")
-    return run.returncode == 0
+    return "noticed" if run.returncode else "SURVIVED"
 
 
 def tests_of(mutant: Mutant, covering: CoveringTests, most_s: float) -> list[str]:
@@ -145,7 +148,7 @@ def main() -> int:
         plugin = [sys.executable, "-m", "pytest", "-p", "tools.called_functions", *(options.tests or ["tests"])]
         return subprocess.run(plugin, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}).returncode
     mutants, covering = _chosen(options), CoveringTests(RECORD_FILE)
-    survivors = 0
+    outcomes = Counter[str]()
     with TemporaryDirectory() as folder:
         copy = Path(folder) / "tree"
         for name in _COPIED:
@@ -155,12 +158,11 @@ def main() -> int:
                 shutil.copy2(ROOT / name, copy / name)
         for number, mutant in enumerate(mutants, 1):
             tests = options.tests or tests_of(mutant, covering, options.seconds)
-            survived = survives(mutant, copy, tests, options.time_limit)
-            survivors += survived
-            result = f"SURVIVED {len(tests)} tests" if survived else "noticed"
-            print(f"{number}/{len(mutants)} {result}: {mutant}", flush=True)
-    print(f"{len(mutants) - survivors} of {len(mutants)} noticed")
-    return int(survivors > len(mutants) / 10)
+            outcome = outcome_of(mutant, copy, tests, options.time_limit)
+            outcomes[outcome] += 1
+            print(f"{number}/{len(mutants)} {outcome} ({len(tests)}): {mutant}", flush=True)
+    print(", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common()))
+    return int(outcomes["SURVIVED"] > len(mutants) / 10)
 
 
 def _chosen(options: Namespace) -> list[Mutant]:
