@@ -12,6 +12,8 @@ _REMEDIES = {
     errno.EPERM: "change the folder's permissions, or choose another --out",
     errno.EIO: "the disk, or the connection to it, has failed: choose another --out",
 }
+# Neither has a type or a number of its own: of CPython's `_thread`, and of the loader of the C library.
+_NO_THREAD, _NOT_MAPPED = "can't start new thread", "failed to map segment from shared object"
 _FULL = "make room there, or choose another --out"
 
 
@@ -51,8 +53,15 @@ def cannot_write(where: object, error: OSError, what: str = "written") -> Storag
 
 
 def is_of_memory(error: BaseException) -> bool:
-    """Whether there was not enough memory, which OpenCV has an error of its own for."""
+    """Whether there was not enough memory, for which OpenCV and the loader of libraries have errors of their own."""
     cv2 = sys.modules.get("cv2")  # it is loaded if it has failed
-    return isinstance(error, MemoryError) or (
-        cv2 is not None and isinstance(error, cv2.error) and error.code == cv2.Error.StsNoMem
+    return (
+        isinstance(error, MemoryError)
+        or (isinstance(error, ImportError) and _NOT_MAPPED in str(error))
+        or (cv2 is not None and isinstance(error, cv2.error) and error.code == cv2.Error.StsNoMem)
     )
+
+
+def is_of_threads(error: BaseException) -> bool:
+    """Whether the system refused a thread."""
+    return isinstance(error, RuntimeError) and str(error) == _NO_THREAD

@@ -1,6 +1,7 @@
 """Arguments in, exit codes out."""
 
 import os
+import resource
 import sys
 from argparse import Action, ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
@@ -23,6 +24,9 @@ _OTHER_COMMANDS = "other commands:\n" + "\n".join(
     f"  scan {name:<10} {command.about}" for name, command in NAMED.items()
 )
 
+# What the smallest scan takes on two cores; memory in use is a fifth of it.
+_ADDRESS_SPACE = 1_400_000_000
+
 _FIRST_STEP = "→ scan new my-room.yaml writes a configuration to begin with."
 
 
@@ -35,6 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             name, rest = choose_command(sys.argv[1:] if arguments is None else list(arguments))
             args = parser_of(name).parse_args(rest)
+            _require_address_space()
             run = _command(name).load()
             on_ending(interrupt)
             _announce_compiling(quiet=getattr(args, "quiet", False))
@@ -43,6 +48,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with finishing(ending=True):
                 return _reported(error)
     return 0
+
+
+def _require_address_space() -> None:
+    """Raise InputError if libraries could not be loaded: some end the process then, without a word of ours."""
+    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if allowed != resource.RLIM_INFINITY and allowed < _ADDRESS_SPACE:
+        raise InputError(
+            f"this process may use {allowed / 1e9:.2f} GB of address space, and the libraries and threads of "
+            f"this program take {_ADDRESS_SPACE / 1e9:.1f} GB: raise the limit (ulimit -v)"
+        )
 
 
 def _announce_compiling(*, quiet: bool) -> None:

@@ -18,7 +18,7 @@ from hw.open_rig import at_place, at_place_or_last, moves_by_itself, turns_by_it
 from hw.rig import Rig
 from scanner.checking import opened
 from scanner.configuration import Config
-from scanner.errors import InputError, is_of_memory
+from scanner.errors import InputError, is_of_memory, is_of_threads
 from scanner.live.cloud import LiveCloud, LiveDecoder
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import joining, keep_station
@@ -121,7 +121,7 @@ def scan_live(
                 raise KeyboardInterrupt
         except (KeyboardInterrupt, Exception) as error:
             expected = isinstance(error, KeyboardInterrupt | DeviceError | RefusalError)
-            if not found.kept or not (expected or is_of_memory(error)):
+            if not found.kept or not (expected or is_of_memory(error) or is_of_threads(error)):
                 raise
             found.ended_by = error
             # There may not have been enough memory to keep one more.

@@ -6,11 +6,16 @@ from dataclasses import dataclass
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from scanner.errors import InputError, is_of_memory, is_of_the_disk
+from scanner.errors import InputError, is_of_memory, is_of_the_disk, is_of_threads
 from scanner.interruption import EXIT_INTERRUPTED
 from scanner.shown_text import harmless, shortened
 
 _MOST_LINES, _LONGEST_LINE = 100, 1000
+
+_NO_THREAD = (
+    "the system allows no further thread: raise the limit of memory (ulimit -v) or of processes (ulimit -u, or the "
+    "container's), or close other programs"
+)
 
 EXIT_INPUT = 2
 EXIT_DEVICE = 3
@@ -38,6 +43,8 @@ def failure_of(error: BaseException) -> Failure:
             return _failure(EXIT_INPUT, error)
         case _ if is_of_memory(error):
             return _failure(EXIT_INPUT, error, "there is not enough memory for an input of this size: ")
+        case _ if is_of_threads(error):
+            return Failure(EXIT_INPUT, _shortened("\n".join([_NO_THREAD, *getattr(error, "__notes__", [])])))
         case DeviceError():
             return _failure(EXIT_DEVICE, error)
         case RefusalError():

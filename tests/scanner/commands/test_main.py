@@ -297,3 +297,15 @@ def test_help_and_typing_errors_load_nothing_heavy(arguments: list[str]) -> None
     )
     told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
     assert told.stderr.splitlines()[-1] == ""
+
+
+@pytest.mark.parametrize("allowed_kb", [300_000, 500_000, 850_000, 1_000_000, 1_200_000])
+def test_without_address_space_for_its_libraries_it_says_so(config: Path, allowed_kb: int) -> None:
+    """Between these limits libraries cannot be loaded, end the process, or get no thread."""
+    command = f'ulimit -v {allowed_kb}; exec "$0" -m scanner --config "$1"'
+    process = subprocess.run(
+        ["sh", "-c", command, sys.executable, config], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert process.returncode == 2
+    assert f"may use {allowed_kb * 1024 / 1e9:.2f} GB of address space" in process.stderr
+    assert process.stderr.count("\n") == 1

@@ -125,7 +125,14 @@ def opencv_without_memory() -> Exception:
 
 
 @pytest.mark.parametrize(
-    "error", [KeyboardInterrupt(), DeviceError("the camera is gone"), MemoryError(), opencv_without_memory()]
+    "error",
+    [
+        KeyboardInterrupt(),
+        DeviceError("the camera is gone"),
+        MemoryError(),
+        opencv_without_memory(),
+        RuntimeError("can't start new thread"),
+    ],
 )
 def test_kept_clouds_are_saved_however_the_loop_ends(
     tmp_path: Path, bench: LiveBench, monkeypatch: pytest.MonkeyPatch, error: BaseException

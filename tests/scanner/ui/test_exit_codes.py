@@ -1,5 +1,7 @@
 """Errors become exit codes and messages."""
 
+import threading
+
 import cv2
 import numpy as np
 import pytest
@@ -24,6 +26,10 @@ KIND = FindingKind("unfit", "It is unfit.", "Take another one.")
         (DeviceError("the camera is gone"), 3, "the camera is gone"),
         (RefusalError(KIND, "It is unfit.", "Take another one."), 4, "no trustworthy"),
         (MemoryError("3 GB"), 2, "there is not enough memory for an input of this size: 3 GB"),
+        (ImportError("libopenblas.so: failed to map segment from shared object"), 2, "there is not enough memory"),
+        (ImportError("No module named 'scanner.rooom'"), 70, "a bug in this program: ImportError"),
+        (RuntimeError("can't start new thread"), 2, "ulimit -v"),
+        (RuntimeError("dictionary changed size during iteration"), 70, "a bug in this program: RuntimeError"),
         (KeyboardInterrupt(), 130, "interrupted"),
         (ZeroDivisionError("by 0"), 70, "a bug in this program: ZeroDivisionError: by 0"),
     ],
@@ -32,6 +38,28 @@ def test_each_kind_of_error_has_its_exit_code(error: BaseException, code: int, w
     failure = failure_of(error)
     assert failure.exit_code == code
     assert words in failure.message
+
+
+def test_a_thread_that_the_system_refuses_is_no_bug() -> None:
+    """As the interpreter says it; what was kept is named beside it."""
+    end, threads = threading.Event(), list[threading.Thread]()
+
+    def start_threads() -> None:
+        while True:
+            threads.append(threading.Thread(target=end.wait))
+            threads[-1].start()
+
+    with little_memory(), pytest.raises(RuntimeError) as caught:
+        start_threads()
+    end.set()
+    for thread in threads[:-1]:
+        thread.join()
+    caught.value.add_note("19 frames are kept.")
+    failure = failure_of(caught.value)
+    assert failure.exit_code == 2
+    assert failure.message.startswith("the system allows no further thread")
+    assert failure.message.endswith("\n19 frames are kept.")
+    assert 1 < len(threads) < 1000
 
 
 def test_opencv_without_memory_is_no_bug() -> None:
