@@ -33,6 +33,10 @@ class FramesError(InputError):
         self.problem = problem
 
 
+class GradeError(Exception):
+    """A result, which is kept, has a lower grade than the operator requires."""
+
+
 class StorageError(Exception):
     """A disk that is full, may not be written, or fails. The message names the path and says what to do."""
 

@@ -66,10 +66,8 @@ def of_scan(parser: ArgumentParser) -> None:
     add_flag(parser, "--object", "with --stations and --calibration: scan a thing that you turn in between")
     add_calibration(parser, "with --object: calibration of the rig")
     _add_fill(parser)
-    add_out(parser, default="scans/<name of the configuration>")
-    add_overwrite(parser)
     add_masks(parser)
-    add_quiet(parser)
+    add_new_result(parser, default="scans/<name of the configuration>")
 
 
 MAIN = Command("Scan with the configured rig: capture, calibrate, reconstruct.", "", of_scan)
@@ -391,14 +389,15 @@ def of_live(parser: ArgumentParser) -> None:
     add_text(parser, "--depths", "NEAR,FAR", "range of depths, as in 0.3m,0.6m, for finer clouds (default: any)")
     add_flag(parser, "--page", "show the clouds on a page in the browser, too")
     add_address(parser)
-    add_new_result(parser, default="scans/<name of the configuration>-live")
+    add_new_result(parser, default="scans/<name of the configuration>-live", graded=False)
 
 
 @_command(
     "Compare two calibrations of one rig: where they differ, and whether their sigmas allow it.",
     """
 Differences are in projector pixels and as lengths, over the camera's picture and by depth, after the best rigid
-alignment. The exit code is 0 even if the calibrations differ: the last sentence says whether they do.
+alignment. Exit codes: 0 if they agree, or neither states a covariance; 1 if they differ by more than their standard
+deviations allow.
 """,
 )
 def of_compare(parser: ArgumentParser) -> None:
@@ -407,6 +406,7 @@ def of_compare(parser: ArgumentParser) -> None:
     what = "depths to compare at, as in 1m,2m,3m (default: those of CAL_A's scene, or where both axes meet)"
     add_text(parser, "--depths", "D1,D2,…", what)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for compare.html and compare.json")
+    add_flag(parser, "--allow", "exit code 0 even if they differ")
     add_overwrite(parser, "comparison there")
     add_quiet(parser)
 

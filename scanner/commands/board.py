@@ -17,7 +17,7 @@ from scanner.boards import (
     verdict_on,
     write_pdf,
 )
-from scanner.commands.outcome import conclusion
+from scanner.commands.outcome import conclude
 from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.io import new_file
@@ -30,7 +30,7 @@ _EXAMPLE = "as in: scan board CAPTURE… --board chessboard:9x7 --square 10mm"
 
 
 def run(args: Namespace) -> None:
-    """Do the work. Raises InputError, DeviceError, RefusalError."""
+    """Do the work. Raises InputError, DeviceError, RefusalError, GradeError."""
     terminal = Terminal(quiet=args.quiet)
     if args.sheet:
         _print(args, terminal)
@@ -47,7 +47,7 @@ def run(args: Namespace) -> None:
         terminal.show(f"Note: {finding}")
     terminal.show(f"Result: {out} ({REPORT_FILE}, {CALIBRATION_FILE})")
     use = f"scan replay CAPTURE --calibration {out / CALIBRATION_FILE} reconstructs with it."
-    terminal.show(*conclusion(verdict_on(result), use))
+    conclude(verdict_on(result), use, terminal, args.require)
 
 
 def _print(args: Namespace, terminal: Terminal) -> None:

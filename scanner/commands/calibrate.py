@@ -13,4 +13,4 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     config = load_config(args.config, args.set)
     result = jobs.calibrate(args.matches, config, args.out, overwrite=args.overwrite, terminal=terminal)
-    show_outcome(result, args.out, terminal)
+    show_outcome(result, args.out, terminal, args.require)

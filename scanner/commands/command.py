@@ -27,7 +27,9 @@ class Command:
         """What it is called on the command line; a module cannot be called `import`."""
         return self._module.rstrip("_")
 
-    def load(self) -> Callable[[Namespace], None]:
-        """Import the function that does the work; it raises InputError, StorageError, DeviceError, RefusalError."""
-        run: Callable[[Namespace], None] = import_module(f"scanner.commands.{self._module}").run
+    def load(self) -> Callable[[Namespace], int | None]:
+        """Import the function that does the work and returns the exit code, if it is not 0; it raises InputError,
+        StorageError, DeviceError, RefusalError, GradeError.
+        """
+        run: Callable[[Namespace], int | None] = import_module(f"scanner.commands.{self._module}").run
         return run

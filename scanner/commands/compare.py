@@ -6,7 +6,7 @@ from scanner.comparing import (
     COMPARE_FILE,
     COMPARE_PAGE,
     compare_files,
-    summary,
+    comparison_verdict,
     table,
     write_compare,
     write_compare_page,
@@ -14,11 +14,11 @@ from scanner.comparing import (
 from scanner.errors import InputError
 from scanner.io import new_files, refuse_existing
 from scanner.shown_text import shown
-from scanner.ui import Terminal
+from scanner.ui import EXIT_DIFFERENT, Terminal
 
 
-def run(args: Namespace) -> None:
-    """Do the work. Raises InputError."""
+def run(args: Namespace) -> int:
+    """Do the work; returns the exit code. Raises InputError."""
     terminal = Terminal(quiet=args.quiet)
     if args.out:
         for name in (COMPARE_FILE, COMPARE_PAGE):
@@ -27,7 +27,8 @@ def run(args: Namespace) -> None:
     if args.depths is not None and not depths:
         raise InputError(f"--depths: expected lengths, as in 1m,2m,3m, found {shown(args.depths)}")
     comparison = compare_files(args.first, args.second, depths)
-    terminal.show(table(comparison), *summary(comparison))
+    verdict = comparison_verdict(comparison)
+    terminal.show(table(comparison), f"{verdict.sign} {verdict.headline}", *(f"  {each}" for each in verdict.reasons))
     if args.out:
         with new_files(args.out, (COMPARE_FILE, COMPARE_PAGE), overwrite=args.overwrite) as (document, page):
             write_compare(document, comparison)
@@ -38,3 +39,4 @@ def run(args: Namespace) -> None:
         )
     else:
         terminal.show("→ The same command with --out DIR draws where in the picture they differ.")
+    return EXIT_DIFFERENT if verdict.grade == "refused" and not args.allow else 0

@@ -43,11 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run = _command(name).load()
             on_ending(interrupt)
             _announce_compiling(quiet=getattr(args, "quiet", False))
-            run(args)
+            exit_code = run(args)
         except (Exception, KeyboardInterrupt) as error:
             with finishing(ending=True):
                 return _reported(error)
-    return 0
+    return exit_code or 0
 
 
 def _require_address_space() -> None:

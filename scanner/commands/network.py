@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 
-from scanner.commands.outcome import conclusion
+from scanner.commands.outcome import conclude
 from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.networks import KnownDistance, scan_network, verdict_on
@@ -11,7 +11,7 @@ from scanner.ui import Terminal
 
 
 def run(args: Namespace) -> None:
-    """Do the work. Raises InputError, RefusalError."""
+    """Do the work. Raises InputError, RefusalError, GradeError."""
     terminal = Terminal(quiet=args.quiet)
     out = args.out or default_out("network", overwrite=args.overwrite)
     known = KnownDistance.parse(args.distance) if args.distance else None
@@ -24,4 +24,4 @@ def run(args: Namespace) -> None:
         focal, sigma = estimate.intrinsics(name).focal_px[0], float(estimate.sigmas(name)[0])
         terminal.show(f"{name}: focal length {focal:.2f} ± {focal * sigma:.2g} px")
     terminal.show(f"Result: {out} ({REPORT_FILE}, {NETWORK_CLOUD_FILE}, {NETWORK_FILE})")
-    terminal.show(*conclusion(verdict_on(solved), f"{out / REPORT_FILE} shows it."))
+    conclude(verdict_on(solved), f"{out / REPORT_FILE} shows it.", terminal, args.require)

@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 
-from scanner.commands.outcome import conclusion
+from scanner.commands.outcome import conclude
 from scanner.configuration import load_config
 from scanner.objects import scan_object, verdict_on
 from scanner.quantities import shown_unit
@@ -11,7 +11,7 @@ from scanner.ui import Terminal
 
 
 def run(args: Namespace) -> None:
-    """Do the work. Raises InputError, DeviceError, RefusalError."""
+    """Do the work. Raises InputError, DeviceError, RefusalError, GradeError."""
     terminal, config = Terminal(quiet=args.quiet), load_config(args.config, args.set)
     out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
     solved, surface = scan_object(
@@ -28,4 +28,4 @@ def run(args: Namespace) -> None:
         volume, sigma = (number * unit.factor**3 for number in surface.volume)
         terminal.show(f"Volume: {volume:.6g} ± {sigma:.2g} {unit.name}³")
     terminal.show(f"Result: {out} (report.html, object.ply, object.glb, object.yaml)")
-    terminal.show(*conclusion(verdict_on(solved), f"scan view {out} shows it."))
+    conclude(verdict_on(solved), f"scan view {out} shows it.", terminal, args.require)

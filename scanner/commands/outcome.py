@@ -1,8 +1,9 @@
 """The summary after a successful command: the calibration, its accuracy, and where the files are."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
+from scanner.commands.shared_arguments import REQUIRED_GRADES
+from scanner.errors import GradeError
 from scanner.quantities import calibration_table, truth_line
 from scanner.results import (
     CALIBRATION_FILE,
@@ -18,8 +19,8 @@ from scanner.results import (
 from scanner.ui import Terminal
 
 
-def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
-    """Print the summary of a result that was published at `out`, the most important last."""
+def show_outcome(scan: Scan, out: Path, terminal: Terminal, required: str | None) -> None:
+    """Print the summary of a result that was published at `out`, the most important last. Raises GradeError."""
     calibration, truth = scan.newest.calibration, scan.newest.decoded.metadata.truth
     terminal.show(calibration_table(calibration, truth))
     if truth:
@@ -36,11 +37,18 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
     files = (REPORT_FILE, CLOUD_FILE, *((MERGED_FILE,) if scan.merged else ()), CALIBRATION_FILE)
     terminal.show(f"Result: {out} ({', '.join(files)})")
     if verdict := read_verdict(out / CALIBRATION_FILE):
-        terminal.show(*conclusion(verdict, f"scan view {out} shows it, scan measure {out} measures in it.", DECISIVE))
+        otherwise = f"scan view {out} shows it, scan measure {out} measures in it."
+        conclude(verdict, otherwise, terminal, required, DECISIVE)
 
 
-def conclusion(verdict: Verdict, otherwise: str, most: int | None = None) -> Iterator[str]:
-    """The grade, `most` of its reasons, the first of them, and what to do next: the advice, or `otherwise`."""
-    yield f"{verdict.sign} {verdict.headline}"
-    yield from (f"  {reason}" for reason in verdict.reasons[:most])
-    yield f"→ {verdict.advice or otherwise}"
+def conclude(
+    verdict: Verdict, otherwise: str, terminal: Terminal, required: str | None, most: int | None = None
+) -> None:
+    """Print the grade, `most` of its reasons, the first of them, and what to do next: the advice, or `otherwise`.
+
+    Raises GradeError if a better grade is `required`.
+    """
+    reasons = (f"  {reason}" for reason in verdict.reasons[:most])
+    terminal.show(f"{verdict.sign} {verdict.headline}", *reasons, f"→ {verdict.advice or otherwise}")
+    if required is not None and verdict.grade not in REQUIRED_GRADES[: 1 + REQUIRED_GRADES.index(required)]:
+        raise GradeError(f"the result is {verdict.grade}, and --require {required} asks for better; it is kept")

@@ -32,7 +32,7 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     with new_result(args.out, config, overwrite=args.overwrite, tell=terminal.note) as folder:
         scan = reconstruct_photos(photos, wanted, config, folder, terminal)
-    show_outcome(scan, args.out, terminal)
+    show_outcome(scan, args.out, terminal, args.require)
 
 
 def _given(path: Path, photos: Sequence[Photo]) -> Matches:

@@ -25,7 +25,7 @@ def run(args: Namespace) -> None:
         overwrite=args.overwrite,
         terminal=terminal,
     )
-    show_outcome(result, out, terminal)
+    show_outcome(result, out, terminal, args.require)
 
 
 def _name(capture: Path) -> str:

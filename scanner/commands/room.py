@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 
-from scanner.commands.outcome import conclusion
+from scanner.commands.outcome import conclude
 from scanner.configuration import load_config
 from scanner.quantities import calibration_table, shown_unit
 from scanner.results import default_out
@@ -11,7 +11,7 @@ from scanner.ui import Terminal
 
 
 def run(args: Namespace) -> None:
-    """Do the work. Raises InputError, DeviceError, RefusalError."""
+    """Do the work. Raises InputError, DeviceError, RefusalError, GradeError."""
     terminal, config = Terminal(quiet=args.quiet), load_config(args.config, args.set)
     out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
     solved = scan_room(
@@ -29,4 +29,4 @@ def run(args: Namespace) -> None:
         sigma = float(sum(station.sigma**2) ** 0.5)
         terminal.show(f"{station.name}: {len(station.decoded.matches):,} matches, its position ± {unit.error(sigma)}")
     terminal.show(f"Result: {out} (report.html, room.ply, room.glb, floorplan.svg, floorplan.dxf, room.yaml)")
-    terminal.show(*conclusion(verdict_on(solved), f"scan view {out} shows it."))
+    conclude(verdict_on(solved), f"scan view {out} shows it.", terminal, args.require)

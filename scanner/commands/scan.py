@@ -37,7 +37,7 @@ def _scan(args: Namespace) -> None:
     result = jobs.scan(
         config, out, captures=args.captures, masks=args.masks, overwrite=args.overwrite, terminal=terminal
     )
-    show_outcome(result, out, terminal)
+    show_outcome(result, out, terminal, args.require)
 
 
 def _resume(args: Namespace) -> None:
@@ -53,4 +53,4 @@ def _resume(args: Namespace) -> None:
         overwrite=args.overwrite,
         terminal=terminal,
     )
-    show_outcome(result, out, terminal)
+    show_outcome(result, out, terminal, args.require)

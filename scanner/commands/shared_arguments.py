@@ -3,6 +3,8 @@
 from argparse import ArgumentParser
 from pathlib import Path
 
+REQUIRED_GRADES = ("good", "fair")  # the best first
+
 
 def add_result(parser: ArgumentParser) -> None:
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder of a scan's result")
@@ -53,9 +55,12 @@ def add_overwrite(parser: ArgumentParser, what: str = "result of that name") -> 
     add_flag(parser, "--overwrite", f"replace an earlier {what}")
 
 
-def add_new_result(parser: ArgumentParser, *, default: str | None = None) -> None:
+def add_new_result(parser: ArgumentParser, *, default: str | None = None, graded: bool = True) -> None:
     add_out(parser, default=default)
     add_overwrite(parser)
+    if graded:
+        what = "exit code 4 if the result, which is kept, has a lower grade"
+        parser.add_argument("--require", choices=REQUIRED_GRADES, metavar="|".join(REQUIRED_GRADES), help=what)
     add_quiet(parser)
 
 

@@ -2,4 +2,4 @@
 
 from scanner.comparing.comparison import CalibrationComparison, Sheet, compare_files
 from scanner.comparing.page import COMPARE_FILE, COMPARE_PAGE, write_compare, write_compare_page
-from scanner.comparing.summary import headings, rows, summary, table
+from scanner.comparing.summary import comparison_verdict, headings, rows, table

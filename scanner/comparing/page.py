@@ -12,30 +12,30 @@ from markupsafe import Markup, escape
 from calib.geometry import Size
 from calib.numerics import Floats
 from scanner.comparing.comparison import CalibrationComparison, Sheet
-from scanner.comparing.summary import headings, rows, summary
-from scanner.quantities import shown_unit
-from scanner.rendering import VIRIDIS, css_colour, page, shaded
+from scanner.comparing.summary import PX, comparison_verdict, headings, rows
+from scanner.quantities import ShownUnit, shown_unit
+from scanner.rendering import VIRIDIS, ColourScale, css_colour, page, shaded
 
 COMPARE_FILE, COMPARE_PAGE = "compare.json", "compare.html"
 _FORMAT = 1
+_SHADES = tuple(css_colour((int(r), int(g), int(b))) for r, g, b in VIRIDIS[::16])
 
 
 @dataclass(frozen=True)
 class _Map:
-    """A picture with the sentence under it."""
+    """A picture with its scale and what is under it."""
 
     plot: Markup
+    scale: ColourScale
     caption: str
 
 
 def write_compare_page(path: Path, comparison: CalibrationComparison) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
-    verdict, *sentences = summary(comparison)
     text = page(
         "compare.html",
         names=comparison.names,
-        verdict=verdict,
-        sentences=sentences,
+        verdict=comparison_verdict(comparison),
         headings=headings(comparison),
         rows=rows(comparison),
         maps=[
@@ -50,13 +50,13 @@ def _maps(comparison: CalibrationComparison, sheet: Sheet) -> Iterator[_Map]:
     if np.isnan(sheet.length).all():
         return
     unit, known = shown_unit(comparison.unit), any(comparison.known)
-    what = [("projector px", sheet.px, 1.0), (unit.name, sheet.length, unit.factor)]
+    what = [(PX, sheet.px), (unit, sheet.length)]
     if known:
-        what.append(("sigmas", sheet.length / sheet.length_sigma, 1.0))
-    for name, values, factor in what:
-        largest = float(np.nanmax(values)) * factor
-        plot = _heat(values * factor, comparison.camera_size, f"difference in {name} over the camera's picture")
-        yield _Map(plot, f"Difference in {name}: dark is 0, bright is {largest:.3g}.")
+        what.append((ShownUnit(1.0, "standard deviations"), sheet.length / sheet.length_sigma))
+    for shown, values in what:
+        largest = float(np.nanmax(values))
+        plot = _heat(shown.factor * values, comparison.camera_size, f"difference in {shown.name} over the picture")
+        yield _Map(plot, ColourScale(_SHADES, "0", shown.error(largest)), f"Difference in {shown.name}")
 
 
 def _heat(values: Floats, size: Size, label: str) -> Markup:
@@ -97,7 +97,7 @@ def _document(comparison: CalibrationComparison) -> dict[str, Any]:
         "freedom": difference.freedom,
         "limit": difference.limit,
         "unexplained": difference.unexplained,
-        "verdict": next(summary(comparison)),
+        "verdict": comparison_verdict(comparison).headline,
         "camera_px": comparison.camera_px.round(3).tolist(),
         "depths": [
             {

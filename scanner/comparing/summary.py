@@ -9,41 +9,63 @@ from rich.table import Table
 from calib.numerics import Floats
 from scanner.comparing.comparison import CalibrationComparison, Sheet
 from scanner.quantities import ShownUnit, plain, shown_unit
+from scanner.results import Verdict
+
+PX = ShownUnit(1.0, "projector px")
+_NEGLIGIBLE = 0.05  # standard deviations
+_ROUNDED = 1e-9  # of the depth: what writing and reading a file does
 
 
-def summary(comparison: CalibrationComparison) -> Iterator[str]:
-    """The verdict first, then its reasons, in sentences."""
-    difference, unit = comparison.difference, shown_unit(comparison.unit)
-    worst = int(np.argmax(difference.sigmas if any(comparison.known) else difference.length))
-    x, y = difference.camera_px[worst]
-    where = f"at camera pixel ({x:.0f}, {y:.0f}), {unit.length(float(difference.depth[worst]))} away"
-    size = f"{unit.error(float(difference.length[worst]))} and {difference.px[worst]:.2g} projector px"
+def comparison_verdict(comparison: CalibrationComparison) -> Verdict:
+    """Whether the standard deviations explain the differences, and where the most significant one is."""
+    if float(np.max(comparison.difference.length / comparison.difference.depth)) < _ROUNDED:
+        return Verdict("good", "The calibrations are the same.", ("They differ by rounding alone.",))
+    reasons = (_worst(comparison), *_reasons(comparison))
     if not any(comparison.known):
-        yield f"They differ by up to {size}, {where}. Neither has a covariance: whether that is significant is unknown."
-        return
-    allowed = unit.error(float(difference.length_sigma[worst]))
-    if difference.agree:
-        yield (
-            f"They agree: the most significant difference is {size}, {where}, where {allowed} is one sigma "
-            f"({difference.sigmas[worst]:.1f} sigmas)."
-        )
-    else:
-        yield (
-            f"They differ by more than their sigmas allow: by up to {size}, {where}, where {allowed} is one sigma "
-            f"({difference.sigmas[worst]:.1f} sigmas)."
-        )
-    yield (
-        f"All differences together: χ² = {difference.chi2:.1f}, where {difference.freedom} is expected and chance "
-        f"explains up to {difference.limit:.0f}."
+        headline = "Whether the calibrations differ significantly is not known: neither states a covariance."
+        return Verdict("fair", headline, reasons, "Compare with a result of scan calibrate or scan board, which do.")
+    if comparison.difference.agree:
+        return Verdict("good", "The calibrations agree, as their standard deviations say.", reasons)
+    return Verdict(
+        "refused",
+        "The calibrations differ by more than their standard deviations allow.",
+        reasons,
+        "If the rig was not changed in between, calibrate again, from more views.",
     )
-    for name, known in zip(comparison.names, comparison.known, strict=True):
-        if not known:
-            yield f"{name} has no covariance: the sigmas are those of the other calibration only."
-    if difference.unexplained > float(np.sqrt(np.mean(difference.length_sigma**2))):
+
+
+def _worst(comparison: CalibrationComparison) -> str:
+    difference, unit, known = comparison.difference, shown_unit(comparison.unit), any(comparison.known)
+    worst = int(np.argmax(difference.sigmas if known else difference.length))
+    x, y = difference.camera_px[worst]
+    length, px = unit.error(float(difference.length[worst])), PX.error(float(difference.px[worst]))
+    where = f"at camera pixel ({x:.0f}, {y:.0f}), {unit.length(float(difference.depth[worst]))} away"
+    if not known:
+        return f"The largest difference is {length}, or {px}, {where}."
+    if difference.sigmas[worst] < _NEGLIGIBLE:
+        return "Everywhere they differ by less than a twentieth of a standard deviation."
+    allowed = unit.error(float(difference.length_sigma[worst]))
+    return (
+        f"The most significant difference is {length}, or {px}, {where}: {plain(float(difference.sigmas[worst]), 1)} "
+        f"standard deviations, each {allowed}."
+    )
+
+
+def _reasons(comparison: CalibrationComparison) -> Iterator[str]:
+    difference, unit = comparison.difference, shown_unit(comparison.unit)
+    if any(comparison.known):
         yield (
-            f"{unit.error(difference.unexplained)} of it (root mean square) is of a kind that neither covariance "
-            "contains, such as lens terms that only one of them has."
+            f"All differences together: χ² = {plain(difference.chi2, 1)}, where {difference.freedom} is expected and "
+            f"chance explains up to {plain(difference.limit, 0)}."
         )
+        for name, known in zip(comparison.names, comparison.known, strict=True):
+            if not known:
+                yield f"{name} has no covariance: the standard deviations are those of the other calibration only."
+        if difference.unexplained > float(np.sqrt(np.mean(difference.length_sigma**2))):
+            yield (
+                f"{unit.error(difference.unexplained)} of it (root mean square) is of a kind that neither covariance "
+                "contains, such as lens terms that only one of them has."
+            )
     if not comparison.metric:
         yield "They share no known length, so one was scaled to fit best: the differences are in shape only."
 
@@ -65,8 +87,8 @@ def _row(sheet: Sheet, unit: ShownUnit, *, known: bool) -> tuple[str, ...]:
     if np.isnan(sheet.length).all():
         return (unit.number(sheet.depth), *["–"] * 7)
     # A covariance may reach rigs whose projector has no pixel for any of the points.
-    px_sigma = f"{_rms(sheet.px_sigma):.3f}" if known and np.isfinite(sheet.px_sigma).any() else "–"
-    px = (f"{_rms(sheet.px):.3f}", f"{np.nanmax(sheet.px):.3f}", px_sigma)
+    px_sigma = PX.number(_rms(sheet.px_sigma)) if known and np.isfinite(sheet.px_sigma).any() else "–"
+    px = (PX.number(_rms(sheet.px)), PX.number(float(np.nanmax(sheet.px))), px_sigma)
     lengths = (unit.number(_rms(sheet.length)), unit.number(float(np.nanmax(sheet.length))))
     allowed = unit.number(_rms(sheet.length_sigma)) if known else "–"
     over = plain(_rms(sheet.length / sheet.length_sigma), 1) if known else "–"

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import viser
 
-from scanner.comparing import COMPARE_PAGE, compare_files, headings, rows, summary, write_compare_page
+from scanner.comparing import COMPARE_PAGE, compare_files, comparison_verdict, headings, rows, write_compare_page
 from scanner.console.results import card_of, earlier_results
 from scanner.console.texts import card_html
 from scanner.results import LOG_FILE
-from scanner.viewing import PLAIN, escaped, failures_shown, link_html
+from scanner.viewing import PLAIN, failures_shown, link_html, verdict_text
 
 _NONE_YET = "none yet"
 _NEWEST = 8
@@ -73,8 +73,7 @@ class History:
             page = Path(self._scratch.name, f"{first.name} and {second.name}", COMPARE_PAGE)
             page.parent.mkdir(exist_ok=True)
             write_compare_page(page, comparison)
-            verdict, *sentences = summary(comparison)
-            self._message.content = "\n\n".join([f"**{escaped(verdict)}**", *map(escaped, sentences)])
+            self._message.content = verdict_text(comparison_verdict(comparison))
             made_s = dict(self._listed or ())
             self._beside.content = "".join(card_html(card_of(path, made_s.get(path, 0.0))) for path in (first, second))
             self._differences.content = _table(headings(comparison), rows(comparison))

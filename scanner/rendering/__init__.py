@@ -26,6 +26,7 @@ from scanner.rendering.colours import (
     VIRIDIS,
     YELLOW,
     Colour,
+    ColourScale,
     IndexedPicture,
     Pixels,
     as_pixels,

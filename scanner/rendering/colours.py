@@ -54,6 +54,15 @@ BROWN = (112, 66, 20)
 Colour = tuple[int, int, int]
 
 
+@dataclass(frozen=True)
+class ColourScale:
+    """A continuous legend: CSS colours from the low to the high end, and labels of the ends."""
+
+    colours: tuple[str, ...]
+    low: str
+    high: str
+
+
 def part_of(colour_map: int, first: int, last: int) -> Pixels:
     """A part of one of OpenCV's colour maps, RGB (n, 3)."""
     shades = cv2.applyColorMap(np.arange(first, last + 1, dtype=np.uint8)[:, None], colour_map)

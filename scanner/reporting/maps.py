@@ -14,6 +14,7 @@ from scanner.rendering import (
     LONGEST_SIDE,
     SIGNED,
     Colour,
+    ColourScale,
     IndexedPicture,
     Map,
     Pixels,
@@ -35,15 +36,6 @@ _SAMPLE = 100_000
 
 _DEPTHS = part_of(cv2.COLORMAP_VIRIDIS, 30, 247)
 _SIGMAS = part_of(cv2.COLORMAP_CIVIDIS, 25, 255)
-
-
-@dataclass(frozen=True)
-class ColourScale:
-    """A continuous legend: CSS colours from the low to the high end, and labels of the ends."""
-
-    colours: tuple[str, ...]
-    low: str
-    high: str
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from scanner.rendering import (
     SKY_BLUE,
     VERMILION,
     YELLOW,
+    ColourScale,
     IndexedPicture,
     Pixels,
     css_colour,
@@ -125,7 +126,7 @@ class ScaledMap:
     """A map with a continuous legend."""
 
     picture: PageImage
-    scale: maps.ColourScale
+    scale: ColourScale
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from scanner.errors import InputError, is_of_memory, is_of_the_disk, is_of_threads
+from scanner.errors import GradeError, InputError, is_of_memory, is_of_the_disk, is_of_threads
 from scanner.interruption import EXIT_INTERRUPTED
 from scanner.shown_text import harmless, shortened
 
@@ -17,6 +17,7 @@ _NO_THREAD = (
     "container's), or close other programs"
 )
 
+EXIT_DIFFERENT = 1  # as of diff: two calibrations that were compared
 EXIT_INPUT = 2
 EXIT_DEVICE = 3
 EXIT_REFUSED = 4
@@ -45,6 +46,8 @@ def failure_of(error: BaseException) -> Failure:
             return _failure(EXIT_INPUT, error, "there is not enough memory for an input of this size: ")
         case _ if is_of_threads(error):
             return Failure(EXIT_INPUT, _shortened("\n".join([_NO_THREAD, *getattr(error, "__notes__", [])])))
+        case GradeError():
+            return _failure(EXIT_REFUSED, error)
         case DeviceError():
             return _failure(EXIT_DEVICE, error)
         case RefusalError():

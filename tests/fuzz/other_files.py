@@ -124,7 +124,7 @@ def left_behind(folder: Path) -> Run:
 
 def compared(folder: Path) -> Run:
     """Two calibrations, one of them with extreme values: compared, summarised and drawn."""
-    from scanner.comparing import compare_files, rows, summary, write_compare, write_compare_page
+    from scanner.comparing import compare_files, rows, write_compare, write_compare_page
     from tests.support.result_folder import write_result
 
     written = write_result(folder / "room", keep=lambda px: np.all(px % 16 < 1, axis=1))
@@ -143,7 +143,7 @@ def compared(folder: Path) -> Run:
         other.write_text(yaml.safe_dump(changed))
         first, second = (written.folder, other) if rng.random() < 0.5 else (other, written.folder)
         found = compare_files(first, second)
-        list(summary(found)), list(rows(found))
+        list(rows(found))
         write_compare(folder / "compare.json", found)
         write_compare_page(folder / "compare.html", found)
 

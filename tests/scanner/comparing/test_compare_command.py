@@ -100,7 +100,7 @@ def test_two_calibrations_are_compared(folder: Path, capsys: pytest.CaptureFixtu
     out = folder / "compared"
     assert main(["compare", str(folder / "boards"), str(folder / "truth.yaml"), "--out", str(out)]) == 0
     told = capsys.readouterr().out
-    assert "They agree" in told
+    assert "✓ The calibrations agree" in told
     assert "truth.yaml has no covariance" in " ".join(told.split())
     document = json.loads((out / "compare.json").read_text(encoding="utf-8"))
     assert document["agree"] is True
@@ -109,6 +109,7 @@ def test_two_calibrations_are_compared(folder: Path, capsys: pytest.CaptureFixtu
     assert len(document["depths"]) == 3
     page = (out / "compare.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 9
+    assert 'section class="verdict good"' in page
     assert document["verdict"] in page.replace("&#39;", "'")
     assert main(["compare", str(folder / "boards"), str(folder / "truth.yaml"), "--out", str(out)]) == 2
 
@@ -119,16 +120,19 @@ def test_a_difference_is_reported_with_its_location(
     focal = 1.01 * case.truth.projector.focal_px[0]
     zoomed = replace(case.truth, projector=replace(case.truth.projector, focal_px=(focal, focal)))
     write_calibration(folder / "zoomed.yaml", zoomed)
-    assert main(["compare", str(folder / "boards"), str(folder / "zoomed.yaml"), "--depths", "0.9m,100cm"]) == 0
+    assert main(["compare", str(folder / "boards"), str(folder / "zoomed.yaml"), "--depths", "0.9m,100cm"]) == 1
     told = " ".join(capsys.readouterr().out.split())
-    assert "They differ by more than their sigmas allow" in told
+    assert "✕ The calibrations differ by more than their standard deviations allow" in told
+    assert main(["compare", str(folder / "boards"), str(folder / "zoomed.yaml"), "--allow", "--quiet"]) == 0
+    assert main(["compare", str(folder / "boards"), str(folder / "boards")]) == 0
+    assert "✓ The calibrations are the same." in capsys.readouterr().out
     assert "at camera pixel" in told
     free = zoomed.in_baselines
     write_calibration(folder / "free.yaml", free)
-    assert main(["compare", str(folder / "free.yaml"), str(folder / "boards")]) == 0
+    assert main(["compare", str(folder / "free.yaml"), str(folder / "boards"), "--allow"]) == 0
     assert "They share no known length" in " ".join(capsys.readouterr().out.split())
     assert main(["compare", str(folder / "free.yaml"), str(folder / "truth.yaml")]) == 0
-    assert "Neither has a covariance" in " ".join(capsys.readouterr().out.split())
+    assert "neither states a covariance" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(
