@@ -3,12 +3,14 @@
     OPENBLAS_NUM_THREADS=1 python benchmarks/soak.py --minutes 10
 
 Rounds of a scan, its replay, a measurement, an export, a refused replay and live clouds, all in this process, and now
-and then one in a fresh process. After each round: memory, open files, threads, child processes, and what is left among
-temporary files. Results of a round have to be the same, byte by byte but for their times, as those of the first. Ends
-with exit code 1 if something differs or grows.
+and then one in a fresh process, or a whole room from three stations; between them a console's worker, the same all day,
+looks, checks, scans and shows clouds. After each round: memory, open files, threads, child processes, and what is left
+among temporary files. Results of a round have to be the same, byte by byte but for their times, as those of the first.
+Ends with exit code 1 if something differs or grows.
 """
 
 import argparse
+import contextlib
 import gc
 import hashlib
 import os
@@ -18,19 +20,33 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
+from hw.rig import Frame, Rig
+from scanner.checking import CheckReport, CheckRow
 from scanner.commands import main as run_command
+from scanner.console import Activity, ConsoleSettings, Status, Worker
+from scanner.live import Watcher
+from scanner.networks import PairProgress
+from scanner.results import Scan
+from tests.support.places import ROOT
 from tests.support.small_room import CONFIG
 
 _SETTLING = 5  # rounds in which caches fill
 _MOST_MB = 20.0  # that the memory may drift by, by a line through all later rounds
-_FRESH_EVERY = 20  # rounds
+_FRESH_EVERY, _ROOM_EVERY = 20, 10  # rounds
+_ROOM = (
+    *("--config", str(ROOT / "configs/room-whole-sim.yaml"), "--stations", "3", "--set", "sequence.preset=quick"),
+    *("--set", "camera={width: 306, height: 256}", "--set", "projector={width: 427, height: 240}", "--quiet"),
+)
+_LIVE_FRAMES, _LIVE_CLOUDS = 5, 2
+_PATIENCE_S = 600.0  # on a busy machine
 _TIME = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+:.\d]*")
-_COMPARED = ("matches.npz", "calibration.yaml", "cloud.ply", "measure.json")
+_COMPARED = ("matches.npz", "calibration.yaml", "cloud.ply", "measure.json", "mapping.yaml", "room.yaml", "room.ply")
 
 
 @dataclass(frozen=True)
@@ -48,6 +64,74 @@ class Usage:
     temporary: int
 
 
+class SilentPage:
+    """A page of the console that shows nothing, and notices how far its worker is."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._busy, self._seen = False, 0
+        self.message = ""
+
+    def begin(self) -> None:
+        """Before something is asked for."""
+        with self._changed:
+            self._busy, self._seen, self.message = True, 0, ""
+
+    def wait_for_end(self) -> None:
+        """Of what was asked for. Raises TimeoutError."""
+        self._wait(lambda: not self._busy)
+
+    def wait_for_sights(self, count: int) -> None:
+        """Of frames or clouds, or the end. Raises TimeoutError."""
+        self._wait(lambda: self._seen >= count or not self._busy)
+
+    def _wait(self, condition: Callable[[], bool]) -> None:
+        with self._changed:
+            if not self._changed.wait_for(condition, _PATIENCE_S):
+                raise TimeoutError(f"the console's worker was not ready within {_PATIENCE_S:.0f} s")
+
+    def _see(self) -> None:
+        with self._changed:
+            self._seen += 1
+            self._changed.notify_all()
+
+    def on_status(self, status: Status) -> None:
+        if status.activity is Activity.NOTHING:
+            with self._changed:
+                self._busy, self.message = False, status.message
+                self._changed.notify_all()
+
+    def on_frame(self, frame: Frame, camera: str = "") -> None:  # noqa: ARG002
+        self._see()
+
+    def on_camera(self, rig: Rig) -> None: ...
+
+    def on_sight(self, sight: PairProgress, frame: Frame | None) -> None: ...
+
+    def on_captured(self) -> None: ...
+
+    def on_row(self, row: CheckRow) -> None: ...
+
+    def on_report(self, report: CheckReport) -> None: ...
+
+    def on_cloud(self, scan: Scan) -> None: ...
+
+    def on_result(self, folder: Path) -> None: ...
+
+    def live_watcher(self) -> Watcher:
+        return SightWatcher(self._see)
+
+
+class SightWatcher(Watcher):
+    """Counts live clouds."""
+
+    def __init__(self, see: Callable[[], None]) -> None:
+        self._see = see
+
+    def on_round(self, *_: object) -> None:
+        self._see()
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=10.0)
@@ -62,23 +146,52 @@ def main() -> int:
 def _soak(scratch: Path, own: Path, seconds: float) -> int:
     config = scratch / "room.yaml"
     config.write_text(CONFIG)
-    first: dict[str, str] | None = None
+    page = SilentPage()
+    worker = Worker(ConsoleSettings(config), page)
+    worker.start()
+    first = dict[str, str]()
     usages = list[Usage]()
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s or len(usages) < 2 * _SETTLING:
-        out = scratch / "work"
-        is_fresh = len(usages) % _FRESH_EVERY == _FRESH_EVERY - 1
-        _round(config, out, is_fresh=is_fresh)
+        out, number = scratch / "work", len(usages)
+        out.mkdir()
+        with contextlib.chdir(out):  # where the console leaves its scans
+            _work(worker, page)
+            _round(config, out, is_fresh=number % _FRESH_EVERY == _FRESH_EVERY - 1)
+            if number % _ROOM_EVERY == 0:
+                _command(0, [*_ROOM, "--out", str(out / "whole")], is_fresh=False)
         digests = {path: _digest(out / path) for path in _files(out)}
-        first = first or digests
-        if digests != first:
-            different = sorted(path for path in {*digests, *first} if digests.get(path) != first.get(path))
-            print(f"round {len(usages)} differs from the first: {', '.join(different)}")
+        different = sorted(path for path, digest in digests.items() if first.setdefault(path, digest) != digest)
+        if different:
+            print(f"round {number} differs from the first: {', '.join(different)}")
             return 1
         subprocess.run(["rm", "-r", str(out)], check=True)
         usages.append(_usage(own))
         print(f"{len(usages):5d} " + "  ".join(f"{name} {value:g}" for name, value in _named(usages[-1])), flush=True)
+    worker.close()
     return _judge(usages)
+
+
+def _work(worker: Worker, page: SilentPage) -> None:
+    """A look at the rig, a check, a scan and live clouds, by a console's worker."""
+    for activity, sights in (
+        (Activity.LIVE, _LIVE_FRAMES),
+        (Activity.CHECKING, 0),
+        (Activity.SCANNING, 0),
+        (Activity.CLOUDS, _LIVE_CLOUDS),
+    ):
+        page.begin()
+        if not worker.request(activity):
+            raise SystemExit(f"console: {activity} was refused")
+        if sights:
+            page.wait_for_sights(sights)
+        if activity is Activity.LIVE:
+            worker.request(Activity.NOTHING)
+        elif activity is Activity.CLOUDS:
+            worker.cancel()
+        page.wait_for_end()
+        if page.message:
+            raise SystemExit(f"console: {activity}: {page.message}")
 
 
 def _round(config: Path, out: Path, *, is_fresh: bool) -> None:
@@ -88,6 +201,7 @@ def _round(config: Path, out: Path, *, is_fresh: bool) -> None:
     _command(0, ["replay", str(room / "capture"), "--out", str(out / "replay"), *common], is_fresh=is_fresh)
     _command(0, ["measure", str(room), "--out", str(out / "measured"), "--quiet"], is_fresh=is_fresh)
     _command(0, ["export", str(room), "--to", "e57", "--out", str(out / "room.e57"), "--quiet"], is_fresh=is_fresh)
+    _command(0, ["export", str(room), "--to", "mapping", "--out", str(out / "maps"), "--quiet"], is_fresh=is_fresh)
     _command(2, ["replay", str(out / "nowhere"), "--out", str(out / "refused"), *common], is_fresh=is_fresh)
     _command(0, ["live", *live, "--out", str(out / "live"), *common], is_fresh=is_fresh)
 

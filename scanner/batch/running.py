@@ -4,8 +4,10 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Protocol
 
 from scanner.batch.listing import Job
@@ -14,11 +16,13 @@ from scanner.batch.page import write_page
 from scanner.batch.processes import WorkerDiedError
 from scanner.batch.rows import ENDING, BatchRow, write_csv, write_parquet
 from scanner.batch.work import ROWS, Delivery, Work, work
-from scanner.errors import is_of_the_disk
+from scanner.errors import cannot_write, is_of_the_disk
+from scanner.results import Claim, FolderState
 from scanner.ui import EXIT_BUG, Progress
 
 log = logging.getLogger(__name__)
 
+_RUNNING = ".batch-running"  # in the folder, while a batch writes there
 TABLE, CSV, PAGE = "batch.parquet", "batch.csv", "index.html"
 
 
@@ -71,8 +75,48 @@ def run_batch(
 ) -> Batch:
     """Work on jobs that no earlier run has finished, and write the table of all. `workers` are started only if needed.
 
-    Raises InputError, StorageError, OSError; the outcome of a capture is in its row.
+    Raises InputError, also if another batch writes there, StorageError, OSError; a capture's outcome is in its row.
     """
+    with _alone_in(Location(out)):
+        return _run(jobs, out, workers, progress, retry=retry)
+
+
+@contextmanager
+def _alone_in(out: Location) -> Iterator[None]:
+    """No other batch works for this folder of this machine: it would find half a result, and say so in the table.
+
+    Raises InputError, StorageError.
+    """
+    if (folder := out.local) is None:  # file systems of the network have no locks
+        yield
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        claim = _claim(folder / _RUNNING)
+    except OSError as error:
+        raise cannot_write(out.url, error) from error
+    try:
+        claim.say(FolderState.LIVE)
+        yield
+    finally:
+        claim.path.unlink(missing_ok=True)
+        claim.release()
+        with suppress(OSError):
+            folder.rmdir()  # nothing was written
+
+
+def _claim(lock: Path) -> Claim:
+    claim = Claim(lock, make=True, maker="batch", remove=lock)
+    while not claim.is_current:  # the one before has just ended, and removed it
+        claim.release()
+        claim = Claim(lock, make=True, maker="batch", remove=lock)
+    return claim
+
+
+def _run(
+    jobs: Sequence[Job], out: str, workers: Callable[[], Workers] | None, progress: Progress, *, retry: bool
+) -> Batch:
+    """`run_batch`, alone in its folder."""
     began_s = time.monotonic()
     delivery = Delivery(out)
     rows, to_do = pending(jobs, Location(out), retry=retry)

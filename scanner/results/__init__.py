@@ -65,4 +65,5 @@ from scanner.results.stated_uncertainty import (
     read_uncertainty,
 )
 from scanner.results.stated_verdict import finding_entries, read_verdict, verdict_entries, verdict_of, write_refusal
+from scanner.results.unfinished import Claim, FolderState
 from scanner.results.verdict import DECISIVE, MEASUREMENT_GRADE, SIGNS, Grade, Verdict

@@ -66,9 +66,13 @@ def is_held(out: Path) -> bool:
 
 
 class Claim:
-    """The lock on a state file, held until `release`. Raises LockedError if another process has it, OSError."""
+    """The lock on a state file of what a `scan` or something else makes, held until `release`.
 
-    def __init__(self, path: Path, *, make: bool = False) -> None:
+    `remove`: what stands in the way if no process is at work; None for the file's folder. Raises LockedError if another
+    process has it, OSError.
+    """
+
+    def __init__(self, path: Path, *, make: bool = False, maker: str = "scan", remove: Path | None = None) -> None:
         self.path = path
         self._file = os.open(path, os.O_RDWR | (os.O_CREAT if make else 0), 0o644)
         try:
@@ -80,8 +84,8 @@ class Claim:
             os.close(self._file)
             by = f" (process {holder[0]})" if holder else ""
             raise LockedError(
-                f"another scan is writing there now{by}: wait for it, or choose another --out; if there is none, "
-                f"remove {path.parent}"
+                f"another {maker} is writing there now{by}: wait for it, or choose another --out; if there is none, "
+                f"remove {remove or path.parent}"
             ) from error
 
     @property

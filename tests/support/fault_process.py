@@ -5,6 +5,7 @@ projector whose camera sees its picture; everything after decoding is replaced b
 """
 
 import ctypes
+import errno
 import json
 import os
 import resource
@@ -113,6 +114,10 @@ def fill_the_disk(_: object, __: object, fault: dict[str, Any]) -> None:
             pass
 
 
+def refuse_to_write(*_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def another_scan(_: object, __: object, fault: dict[str, Any]) -> None:
     child = os.fork()
     if child == 0:
@@ -130,6 +135,7 @@ ACTIONS: dict[str, Callable[..., None]] = {
     "half an image": half_an_image,
     "half a line": half_a_line,
     "full disk": fill_the_disk,
+    "no room": refuse_to_write,
     "another scan": another_scan,
 }
 

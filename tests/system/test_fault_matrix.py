@@ -347,6 +347,30 @@ def test_a_file_size_limit(bench: FaultBench, config: Path, largest_file: int) -
         assert 0 < len(open_capture(folder / "room-incomplete" / "capture").patterns) < len(PATTERNS)
 
 
+def pictures(capture: Path) -> dict[str, bytes]:
+    """The last frame of each pattern, as it was taken."""
+    recording = open_capture(capture)
+    frames = zip(recording.patterns, recording.stream().frames, strict=True)
+    return {str(pattern): frame.image.tobytes() for pattern, (_, frame) in frames}
+
+
+@pytest.mark.parametrize("moment", [BEFORE_IMAGE, BEFORE_LINE], ids=lambda moment: moment.name)
+@pytest.mark.parametrize(
+    ("fault", "code"), [("SIGKILL", -9), ("SIGTERM", 130), ("SIGHUP", 130), ("Ctrl-C", 130), ("no room", 3)]
+)
+def test_a_capture_is_resumed_however_it_ended(
+    bench: FaultBench, config: Path, fault: str, code: int, moment: Moment
+) -> None:
+    folder = config.parent
+    assert bench.run(folder, "--config", config, "--out", folder / "whole").code == 0
+    planted = {"at": moment.at, "call": moment.call, "do": fault}
+    assert bench.run(folder, "--config", config, "--out", folder / "room", faults=[planted]).code == code
+    resumed = bench.run(folder, "--resume", folder / "room-incomplete")
+    assert resumed.code == 0, resumed.said
+    assert pictures(folder / "room" / "capture") == pictures(folder / "whole" / "capture")
+    assert len(open_capture(folder / "room" / "capture").patterns) >= len(PATTERNS)
+
+
 @pytest.mark.parametrize("count", range(1, len(PATTERNS), 5))
 def test_an_interrupted_capture_is_resumed(bench: FaultBench, config: Path, count: int) -> None:
     folder = config.parent

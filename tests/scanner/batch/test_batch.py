@@ -1,10 +1,11 @@
 """Batches of small captures, on local workers and on a scheduler: outcomes and tables."""
 
 import csv
+import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -15,9 +16,11 @@ import pytest
 from hw.optional_parts import BATCH
 from scanner.batch import running as running_module
 from scanner.batch.cluster import dask_workers
-from scanner.batch.listing import BatchRequest, list_jobs
+from scanner.batch.listing import BatchRequest, Job, list_jobs
 from scanner.batch.processes import Processes
+from scanner.batch.rows import BatchRow
 from scanner.batch.running import CSV, PAGE, TABLE, run_batch
+from scanner.batch.work import Delivery, Work
 from scanner.commands import main
 from scanner.errors import StorageError
 from scanner.io import read_calibration
@@ -128,6 +131,35 @@ def test_a_full_disk_ends_the_batch_without_a_row(museum: Path, tmp_path: Path) 
     with Processes(1) as processes:
         again = run_batch(jobs, str(tmp_path), lambda: processes, QUIET)
     assert (again.kept, [row.exit_code for row in again.rows]) == (0, [4])
+
+
+class Reentering:
+    """Workers during whose work another batch begins in the same folder."""
+
+    def __init__(self, command: list[str]) -> None:
+        self._command = command
+        self.ended: subprocess.CompletedProcess[str] | None = None
+
+    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, BatchRow]]:
+        command = [sys.executable, "-m", "scanner", *self._command]
+        self.ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+        for job in jobs:
+            yield job, work(job, delivery)
+
+
+def test_a_second_batch_into_the_same_folder_is_refused(museum: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    config, capture = museum / "room.yaml", museum / "captures" / "dark"
+    second = Reentering(["batch", str(capture), "--config", str(config), "--out", str(out), "--quiet"])
+    first = run_batch(list_jobs([str(capture)], BatchRequest(config)), str(out), lambda: second, QUIET)
+    assert second.ended is not None
+    assert second.ended.returncode == 2
+    assert f"another batch is writing there now (process {os.getpid()})" in second.ended.stderr
+    assert [row.exit_code for row in first.rows] == [4]
+    # What a killed one has left is no obstacle, and nothing is left of either.
+    (out / ".batch-running").write_text("live      1\n")
+    assert run_batch(list_jobs([str(capture)], BatchRequest(config)), str(out), None, QUIET).kept == 1
+    assert not (out / ".batch-running").exists()
 
 
 @contextmanager
