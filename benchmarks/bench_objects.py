@@ -23,9 +23,9 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.deferred_imports import open3d
 from calib.geometry import Pose, rotation_vector
 from calib.numerics import Floats
-from calib.open3d_module import open3d
 from calib.refusal import RefusalError
 from hw.simulated.things import Solid
 from scanner.objects import SolvedObject, cloud_of, solve_object, surface_of, verdict_on

@@ -1,8 +1,12 @@
-"""Packages whose names are imported when they are first asked for (PEP 562)."""
+"""Imports at the time of first use: packages whose names are imported when asked for (PEP 562), and Open3D.
+
+Open3D takes seconds and needs system libraries.
+"""
 
 import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from typing import Any
 
 
 def defer_imports(
@@ -22,3 +26,20 @@ def defer_imports(
         return getattr(import_module(f"{package}.{home_of[name]}"), name)
 
     return sorted(home_of), get, lambda: sorted({*vars(sys.modules[package]), *home_of})
+
+
+# What its wheels are linked against (Debian, Ubuntu).
+DEBIAN_PACKAGES = ("libgl1", "libegl1", "libx11-6", "libusb-1.0-0", "libudev1", "libidn2-0", "libgomp1")
+
+
+def open3d() -> Any:
+    """Return the (untyped) module. Raises ImportError that says what to install if it cannot be loaded."""
+    try:
+        module = import_module("open3d")
+    except (ImportError, OSError) as error:
+        raise ImportError(
+            f"Open3D cannot be loaded ({error}). It needs libraries of the system: apt-get install "
+            f"{' '.join(DEBIAN_PACKAGES)}, or their like"
+        ) from error
+    module.utility.set_verbosity_level(module.utility.VerbosityLevel.Error)
+    return module

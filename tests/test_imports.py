@@ -15,7 +15,10 @@ ALLOWED = {
         "tests/calib/numerics/test_jit.py",
         "calib.objects.pose_search",
     ): "a compiled loop that calls others",
-    ("tests/scanner/decoding/test_sample_analysis.py", "scanner.decoding.checks.frame_consistency"): "its own input",
+    (
+        "tests/scanner/decoding/test_sample_analysis.py",
+        "scanner.decoding.constraints.frame_consistency",
+    ): "its own input",
 }
 
 

@@ -21,11 +21,16 @@ from calib.diagnostics.error_propagation import (
     stacked,
 )
 from calib.diagnostics.findings import FURTHER_CAPTURE, WORTH_A_CAPTURE, findings_on_solution
-from calib.diagnostics.morans_i import SpatialCorrelation, spatial_correlation
 from calib.diagnostics.next_best_view import NextView, best_next_view, moved_corner, step_taken
 from calib.diagnostics.pose_errors import PoseErrors, budget_across
 from calib.diagnostics.sheet_size import SheetSize, size_of_sheet
-from calib.diagnostics.smooth_errors import PlaneForm, footprint_offsets, plane_form
+from calib.diagnostics.spatial_errors import (
+    PlaneForm,
+    SpatialCorrelation,
+    footprint_offsets,
+    plane_form,
+    spatial_correlation,
+)
 from calib.diagnostics.uncertainty import (
     NOWHERE,
     Along,

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
-from calib.diagnostics.smooth_errors import smooth_error_px, smooth_modes
+from calib.diagnostics.spatial_errors import smooth_error_px, smooth_modes
 from calib.diagnostics.uncertainty import Uncertainty, moved_calibration
 from calib.finding import FindingKind
 from calib.geometry import Calibration, Matches, intersect, midpoints

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.estimation.likelihood import AnyLayout, Fit, Part
-from calib.estimation.plane_association import plane_scores
+from calib.estimation.scores import plane_scores
 from calib.numerics import (
     CUBIC,
     MEDIAN_LENGTH,

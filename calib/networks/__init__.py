@@ -1,8 +1,8 @@
 """Networks: several cameras and projectors in one room, calibrated together by the walls that they light and see."""
 
-from calib.networks.doubts import Strain
+from calib.networks.diagnostics import Strain
 from calib.networks.estimate import NetworkEstimate, estimate_network
 from calib.networks.joined import DepthDisagreement, Joined, joined
 from calib.networks.network import Device, Network
-from calib.networks.sights import PlaneObservation
+from calib.networks.observations import PlaneObservation
 from calib.networks.warps import Warp, Warps

@@ -16,14 +16,12 @@ from calib.estimation import (
 )
 from calib.finding import FindingKind
 from calib.geometry import FACES, NO_FACE, PER_PLANE, Intrinsics, Matches, Size
-from calib.networks.doubts import Strain, refuse_mirrored, standing_alike, strains
-from calib.networks.growth import ROUGH, Grown
-from calib.networks.missing import not_connected
+from calib.networks.diagnostics import Strain, not_connected, refuse_mirrored, standing_alike, strains
+from calib.networks.initialisation import ROUGH, Grown
 from calib.networks.moves import Explanation, likeliest, moves
 from calib.networks.network import WARP, Device, Network
-from calib.networks.overlaps import PairName
+from calib.networks.observations import PairName, PlaneObservation
 from calib.networks.prior import NetworkKnowledge
-from calib.networks.sights import PlaneObservation
 from calib.networks.warps import Warps, find_warps, is_strained, or_moved, warped, weighed
 from calib.networks.weights import Weights
 from calib.numerics import Floats, evenly

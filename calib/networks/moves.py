@@ -14,9 +14,9 @@ import numpy as np
 
 from calib.estimation import Fit
 from calib.geometry import PER_PLANE, PER_POSE
-from calib.networks.growth import ROUGH, Grown
+from calib.networks.initialisation import ROUGH, Grown
 from calib.networks.network import Network
-from calib.networks.sights import PlaneObservation
+from calib.networks.observations import PlaneObservation
 from calib.networks.weights import Weights
 from calib.numerics import CUBIC, Floats, Ints
 from calib.refinement import PER_DEVICE, long_waves

@@ -1,9 +1,10 @@
 """Walls that are not flat: heights of a plane, which all pairs that see it share, with a prior, eliminated.
 
-Heights are random waves over the visible part of a plane, longer ones being higher, as in `calib.estimation.flatness`.
-Their amplitudes have a Gaussian prior and are eliminated from the normal equations, as if the waves' covariance were
-in that of the cells. The variance of amplitudes is that of the largest evidence (MacKay, "Bayesian interpolation",
-Neural Computation 4, 1992), of each plane as far as it tells it, and else of all planes.
+Heights are random waves over the visible part of a plane, longer ones being higher, as in
+`calib.estimation.systematic_errors`. Their amplitudes have a Gaussian prior and are eliminated from the normal
+equations, as if the waves' covariance were in that of the cells. The variance of amplitudes is that of the largest
+evidence (MacKay, "Bayesian interpolation", Neural Computation 4, 1992), of each plane as far as it tells it, and else
+of all planes.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ import numpy as np
 
 from calib.estimation import Fit, modes_over
 from calib.networks.network import Network
-from calib.networks.sights import PlaneObservation
+from calib.networks.observations import PlaneObservation
 from calib.numerics import Bools, Floats, Ints, huber_loss, huber_weights
 from calib.refinement import ROBUST_SIGMAS, covariance_of
 

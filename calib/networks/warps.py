@@ -16,12 +16,12 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.estimation import Fit
-from calib.networks.doubts import strains
-from calib.networks.growth import ROUGH, Grown
+from calib.networks.diagnostics import strains
+from calib.networks.initialisation import ROUGH, Grown
 from calib.networks.moves import Explanation, likeliest, moves
 from calib.networks.network import PER_WARP, WARP, Network
+from calib.networks.observations import PlaneObservation
 from calib.networks.prior import WARP_SIGMA
-from calib.networks.sights import PlaneObservation
 from calib.networks.weights import Weights
 from calib.numerics import Bools, Floats
 from calib.refinement import alternative

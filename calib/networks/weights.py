@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.estimation import UNKNOWN, Fit, Joint, NoiseLevels, measured, minimise, of_station
-from calib.networks.growth import Grown
+from calib.networks.initialisation import Grown
 from calib.networks.network import Network
+from calib.networks.observations import PlaneObservation
 from calib.networks.shared_points import SharedPoints
-from calib.networks.sights import PlaneObservation
 from calib.networks.surfaces import PlaneRelief, likeliest_steepness, surfaces_of
 from calib.numerics import Bools, Floats
 

@@ -1,20 +1,25 @@
-"""Poses of one view on another from all rotations: descents from evenly spread rotations, judged by the patches that
-match.
+"""Poses of one view on another without an initial guess: from all rotations, and from keypoints in the pictures.
 
 Descriptors of the surface's shape (FPFH) need detail that smooth things lack. A descent costs some tens of
-microseconds, so it can start from every rotation. Even rotations are those of Alexa, "Super-Fibonacci spirals: fast,
-low-discrepancy sampling of SO(3)", 2022. The initial translation aligns the points where the normals of each view
-converge.
+microseconds, so it can start from every rotation, judged by the patches that match. Even rotations are those of Alexa,
+"Super-Fibonacci spirals: fast, low-discrepancy sampling of SO(3)", 2022. The initial translation aligns the points
+where the normals of each view converge.
+
+Most matching keypoints (SIFT: Lowe 2004) are wrong. A rigid motion preserves distances, so right pairs are compatible
+with each other; pairs that are compatible with the same others vote for one pose (Chen et al., "SC²-PCR: a second order
+spatial compatibility for efficient and robust point cloud registration", 2022).
 """
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Pose, rotation_about
+from calib.geometry import IDENTITY, Pose, rotation_about
 from calib.numerics import Bools, Floats, compiled, distinct
+from calib.objects.joint import WIDE, align
+from calib.objects.patch_overlap import mark_pairs
 from calib.objects.view import ObjectView
-from calib.registration import pixel_under, rotate_vector
+from calib.registration import fit_rigid_motion, pixel_under, rotate_vector
 
 _TURNS = 1200  # rotations; any rotation is about 17° from the nearest one
 # Numbers of patches, and distances in grains within which they match: for all descents, and for the best.
@@ -151,3 +156,47 @@ def _descend(
             turns[k] = turn @ r
             shifts[k] = turn @ (t - centre) + centre + twist[3:]
             r, t = turns[k], shifts[k]
+
+
+_SEARCHED = 8
+_SOME = 250  # patches
+_COMPATIBLE, _FAR = 1.5, 5.0  # grains: largest difference of distances, and least distance of points
+_SEEDS, _VOTERS, _KEPT = 30, 12, 6
+_FEWEST = 3
+
+
+def suggested_poses(first: ObjectView, second: ObjectView, *, thorough: bool = False) -> list[Pose]:
+    """X_first = R X_second + t, within a grain or so; and that hardly anything moved.
+
+    `thorough`: all that a longer search finds, some hundreds, instead of those that meet most.
+    """
+    if thorough:
+        return searched_poses(first, second, THOROUGHLY, THOROUGHLY)
+    own, other = mark_pairs(first, second)
+    by_keypoints = _voted(first.keypoints.points[own], second.keypoints.points[other], first.grain)
+    rough = [align(first, second, pose, (WIDE, 1.0), _SOME) for pose in (IDENTITY, *by_keypoints)]
+    return [*rough, *searched_poses(first, second, _SEARCHED)]
+
+
+def _voted(here: Floats, there: Floats, grain: float) -> list[Pose]:
+    """Of pairs of points (N, 3)."""
+    if len(here) < _FEWEST:
+        return []
+    apart, beyond = (np.linalg.norm(each[:, None] - each, axis=2) for each in (here, there))
+    compatible = (np.abs(apart - beyond) < _COMPATIBLE * grain) & (np.minimum(apart, beyond) > _FAR * grain)
+    first = compatible.astype(np.float32)
+    second = first * (first @ first)
+    found: list[tuple[int, Pose]] = []
+    for seed in np.argsort(-second.sum(axis=1))[:_SEEDS]:
+        voters = np.argsort(-second[seed])[:_VOTERS]
+        voters = np.append(voters[second[seed][voters] > 0], seed)
+        if len(voters) < _FEWEST:
+            continue
+        pose = fit_rigid_motion(here[voters][None], there[voters][None])[0]
+        for _ in range(2):
+            near = np.linalg.norm(pose @ there - here, axis=1) < _COMPATIBLE * grain
+            if np.count_nonzero(near) >= _FEWEST:
+                pose = fit_rigid_motion(here[near][None], there[near][None])[0]
+        if not any(are_about_the_same(pose, better, grain) for _, better in found):
+            found.append((int(np.count_nonzero(near)), pose))
+    return [pose for _, pose in sorted(found, key=lambda each: -each[0])[:_KEPT]]

@@ -10,8 +10,7 @@ from calib.geometry import NO_FACE, Matches
 from calib.numerics import Floats, Ints, compiled, in_pieces, singular_refused
 from calib.plane_segmentation.corner_hypotheses import Triple, Triples, corner_triples, outermost
 from calib.plane_segmentation.labelling import label_matches
-from calib.plane_segmentation.plane_extraction import NO_PLANE
-from calib.plane_segmentation.segmentation import Segments, segmentations
+from calib.plane_segmentation.segmentation import NO_PLANE, Segments, segmentations
 from calib.plane_segmentation.surfels import make_surfels
 from calib.refusal import RIG, TOO_FEW_MATCHES, TOO_FEW_PLANES, RefusalError
 

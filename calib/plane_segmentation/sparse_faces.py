@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from calib.finding import FindingKind
 from calib.geometry import NO_FACE, Matches, dehomogenise, homogeneous
 from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, singular_refused
-from calib.plane_segmentation.plane_extraction import NO_PLANE
+from calib.plane_segmentation.segmentation import NO_PLANE
 from calib.refusal import PHOTOS, TOO_FEW_MATCHES, TOO_FEW_PLANES, RefusalError
 
 _FEWEST_MATCHES = 60

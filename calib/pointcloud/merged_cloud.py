@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import Pose
 from calib.numerics import Bools, Floats, Ints, compiled, in_pieces
-from calib.pointcloud.corner_view import CornerView
+from calib.pointcloud.corner_registration import CornerView
 from calib.pointcloud.organised_cloud import Cloud
 
 _INDEX_BITS = 32

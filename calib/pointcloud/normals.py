@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calib.numerics import Bools, Floats, Ints, in_slices
-from calib.pointcloud.local_plane_fit import FEWEST_NEIGHBOURS, LARGEST_WINDOW, WindowPlanes, window_planes
+from calib.pointcloud.plane_fit import FEWEST_NEIGHBOURS, LARGEST_WINDOW, WindowPlanes, window_planes
 
 _SMALLEST_WINDOW = 7
 _WANTED_NORMAL_RAD = 0.05

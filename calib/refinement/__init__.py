@@ -2,7 +2,7 @@
 
 from calib.refinement.alternatives import PictureScale, alternative
 from calib.refinement.distortion_from_planes import Straightened, straighten
-from calib.refinement.focal_sweep import at_focal, family_of, minima, sweep_one, twins
+from calib.refinement.focal_sweep import at_focal, family_of, minima, photo_family, sweep_one, twins
 from calib.refinement.further_planes import depths, with_further_planes
 from calib.refinement.likelihood import (
     ROBUST_SIGMAS,
@@ -36,7 +36,6 @@ from calib.refinement.parameters import (
     predict,
     without_lens,
 )
-from calib.refinement.photo_starts import photo_family
 from calib.refinement.priors import DECENTERING, ORDINARY_LENSES, THIRD_RADIAL, ColumnPrior, KnownRig, LensPrior
 from calib.refinement.profile_likelihood import covariance_of, inverse_of
 from calib.refinement.refine import CLEARLY_WORSE, Refinement, explore, refine, settle, thin

@@ -1,7 +1,7 @@
 """Registration: how views of one scene fit together, by planes, keypoints and shape, without a first guess."""
 
 from calib.registration.alignment import couple_poses
-from calib.registration.keypoint_poses import fit_rigid_motion
+from calib.registration.hypotheses import fit_rigid_motion
 from calib.registration.keypoints import (
     Keypoints,
     describe_keypoints,

@@ -1,23 +1,28 @@
-"""Supposed relative poses of two stations, from their planes.
+"""Supposed relative poses of two stations: from their planes, from keypoints of their pictures, from their shape.
 
 Two pairs of planes that enclose like angles give a rotation; in a room there are few, for most planes are square to
 each other. Given the rotation, each pair of planes with like normals fixes the translation along its normal: three of
 them fix it, two leave it open along a line, which is then searched in steps. All of these are judged by how the
 stations' surfaces agree and contradict each other (agreement.py), the best are refined and judged again.
+
+Three matching keypoints of two pictures determine a pose (Fischler and Bolles, "Random sample consensus", 1981;
+Kabsch, 1976). Without planes and pictures, Open3D's FPFH with RANSAC suggests one (Rusu et al., "Fast point feature
+histograms (FPFH) for 3D registration", 2009): plain walls have no such features; objects do.
 """
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
+from calib.deferred_imports import open3d
 from calib.geometry import IDENTITY, Pose, nearest_rotation
 from calib.numerics import Bools, Floats, Ints, distinct
 from calib.registration.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
 from calib.registration.alignment import align, normal_equations
-from calib.registration.keypoint_poses import keypoint_poses
+from calib.registration.keypoints import match_keypoints
 from calib.registration.range_view import Surfaces
-from calib.registration.shape_descriptors import shape_poses
 
 _MOST_PLANES = 14
 _LIKE_ANGLES = np.radians(4.0)
@@ -198,3 +203,109 @@ def _along_lines(normal: Floats, shift: Floats, weight: Floats, reach: float) ->
         foot = np.linalg.lstsq(normal[pairs[k]], shift[pairs[k]], rcond=None)[0]
         translations.append(foot + steps[:, None] * along[k])
     return np.concatenate(translations)
+
+
+_DRAWN = 2000
+_FEWEST = 5
+_WIDEST = 0.1  # relative to the depth: closer keypoints do not determine a rotation
+_ROUNDS = 3
+_MOST = 3
+
+
+def keypoint_poses(first: Surfaces, second: Surfaces) -> list[Pose]:
+    """Poses X_first = R X_second + t with the most coinciding keypoints; none with fewer than five."""
+    own, matching = match_keypoints(first.keypoints, second.keypoints)
+    here, there = first.keypoints.points[own], second.keypoints.points[matching]
+    poses: list[Pose] = []
+    unused = np.ones(len(own), np.bool_)
+    rng = np.random.default_rng(0)
+    while len(poses) < _MOST and np.count_nonzero(unused) >= _FEWEST:
+        pose, near = _likeliest(here[unused], there[unused], rng)
+        if pose is None or np.count_nonzero(near) < _FEWEST:
+            break
+        poses.append(pose)
+        unused[np.flatnonzero(unused)[near]] = False
+    return poses
+
+
+def _likeliest(here: Floats, there: Floats, rng: np.random.Generator) -> tuple[Pose | None, Bools]:
+    """The pose that brings most points `there` (M, 3) to those `here`, and which of them (M,)."""
+    within = COARSE * here[:, 2]
+    three = rng.integers(0, len(here), (_DRAWN, 3))
+    sides = [np.linalg.norm(points[three] - points[np.roll(three, 1, axis=1)], axis=2) for points in (here, there)]
+    wide = sides[0].min(axis=1) > _WIDEST * float(np.median(here[:, 2]))
+    three = three[wide & (np.abs(sides[0] - sides[1]).max(axis=1) < 2 * within[three].min(axis=1))]
+    if len(three) == 0:
+        return None, np.zeros(len(here), np.bool_)
+    off = fit_rigid_motion(here[three], there[three]) @ there - here
+    near = np.linalg.norm(off, axis=2) < within
+    best = near[int(np.argmax(np.count_nonzero(near, axis=1)))]
+    for _ in range(_ROUNDS):
+        pose = fit_rigid_motion(here[best][None], there[best][None])[0]
+        best = np.linalg.norm(pose @ there - here, axis=1) < within
+        if np.count_nonzero(best) < 3:
+            return None, best
+    return pose, best
+
+
+def fit_rigid_motion(here: Floats, there: Floats) -> Pose:
+    """The poses (K,) that bring points `there` (K, M, 3) nearest to those `here`."""
+    to, of = here.mean(axis=1), there.mean(axis=1)
+    rotations = nearest_rotation(np.swapaxes(here - to[:, None], 1, 2) @ (there - of[:, None]))
+    return Pose(rotations, to - np.einsum("kij,kj->ki", rotations, of))
+
+
+_VOXELS_ACROSS = 50
+_RADIUS_VOXELS, _NEIGHBOURS = 5.0, 100
+_APART_VOXELS, _LIKE_EDGES = 1.5, 0.9
+_ITERATIONS, _CONFIDENCE = 50_000, 0.999
+_SEEDS = (0, 1, 2)
+
+
+def shape_poses(first: Surfaces, second: Surfaces) -> list[Pose]:
+    """X_first = R X_second + t, as several runs suppose it. Raises ImportError where Open3D cannot be loaded."""
+    o3d = open3d()
+    voxel = max(_extent(first), _extent(second)) / _VOXELS_ACROSS
+    clouds: list[Any] = []
+    features: list[Any] = []
+    for surfaces in (first, second):
+        there = np.isfinite(surfaces.normals[..., 2])
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(surfaces.points[there]))
+        cloud.normals = o3d.utility.Vector3dVector(surfaces.normals[there])
+        cloud = cloud.voxel_down_sample(voxel)
+        cloud.normalize_normals()
+        around = o3d.geometry.KDTreeSearchParamHybrid(_RADIUS_VOXELS * voxel, _NEIGHBOURS)
+        clouds.append(cloud)
+        features.append(o3d.pipelines.registration.compute_fpfh_feature(cloud, around))
+    if min(len(cloud.points) for cloud in clouds) < 3:
+        return []
+    return [_ransac(clouds, features, voxel, seed) for seed in _SEEDS]
+
+
+def _ransac(clouds: list[Any], features: list[Any], voxel: float, seed: int) -> Pose:
+    o3d = open3d()
+    registration = o3d.pipelines.registration
+    o3d.utility.random.seed(seed)
+    ransac = registration.registration_ransac_based_on_feature_matching(
+        clouds[1],
+        clouds[0],
+        features[1],
+        features[0],
+        True,
+        _APART_VOXELS * voxel,
+        registration.TransformationEstimationPointToPoint(False),
+        3,
+        [
+            registration.CorrespondenceCheckerBasedOnEdgeLength(_LIKE_EDGES),
+            registration.CorrespondenceCheckerBasedOnDistance(_APART_VOXELS * voxel),
+        ],
+        registration.RANSACConvergenceCriteria(_ITERATIONS, _CONFIDENCE),
+    )
+    pose: Floats = np.asarray(ransac.transformation, np.float64)
+    return Pose(pose[:3, :3].copy(), pose[:3, 3].copy())
+
+
+def _extent(surfaces: Surfaces) -> float:
+    """How large the greater part of a station's surfaces is."""
+    low, high = np.percentile(surfaces.patches, (5, 95), axis=0)
+    return float(np.linalg.norm(high - low))

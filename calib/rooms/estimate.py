@@ -22,13 +22,11 @@ from calib.estimation import (
 from calib.geometry import Matches, Plane, Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, State, covariance_of
-from calib.rooms.contacts import Contact, find_contacts
-from calib.rooms.patches import Patch, patches_of
+from calib.rooms.factors import Contact, Patch, Track, find_contacts, patches_of
 from calib.rooms.point_tracking import LabelledPicture, find_tracks
 from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
 from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
-from calib.rooms.tracks import Track
 
 _ROUGH = 0.01  # tolerance in cost while noise is measured
 _ROUNDS = 3

@@ -19,8 +19,8 @@ from calib.geometry import project, tangent_basis, unproject
 from calib.numerics import MEDIAN_LENGTH, Floats, Image, median
 from calib.refinement import ROBUST_SIGMAS
 from calib.registration import log_brightness, rectify_texture
+from calib.rooms.factors import Track
 from calib.rooms.room import Room
-from calib.rooms.tracks import Track
 
 _MOST, _FEWEST = 200, 8
 _LARGEST_PX = 1000  # pixels along a side of a drawing

@@ -17,7 +17,7 @@ from calib.estimation import (
 from calib.finding import FindingKind
 from calib.numerics import Bools, Floats
 from calib.refusal import RefusalError
-from calib.rooms.patches import Patch
+from calib.rooms.factors import Patch
 from calib.rooms.priors import RoomPrior
 from calib.rooms.room import Room
 

@@ -13,8 +13,8 @@ from calib.geometry import Matches, Pose, unproject
 from calib.numerics import Floats
 from calib.refinement import Noise, State, covariance_of, depths
 from calib.refusal import RefusalError
-from calib.rooms.contacts import SMOOTH, Contact, find_contacts
 from calib.rooms.estimate import NEAR, RoomEstimate, undetermined_in
+from calib.rooms.factors import SMOOTH, Contact, find_contacts
 from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
 

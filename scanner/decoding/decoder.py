@@ -15,40 +15,104 @@ from numpy.typing import NDArray
 
 from calib.finding import Finding
 from calib.geometry import Calibration, Matches
-from calib.numerics import Image
+from calib.numerics import Bools, Image
 from calib.refinement import Shift
-from scanner.decoding.ambient_light_change import AmbientLightChange
 from scanner.decoding.between_axes import halves_of, motion_between
-from scanner.decoding.checked_maps import checked_maps
-from scanner.decoding.checks.epipolar_test import annotate_errors, assess_anomalies
-from scanner.decoding.checks.frame_consistency import suspected
+from scanner.decoding.checks.epipolar_test import annotate_errors, assess_anomalies, leave_out_stray_light
+from scanner.decoding.checks.finest_stripes import FinestStripes, finest_stripes
+from scanner.decoding.checks.map_checks import check_cycles
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
-from scanner.decoding.code_images import CodeImages
-from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
-from scanner.decoding.frame_corrections import FrameCorrections, corrections_of, saturation_of
+from scanner.decoding.constraints.ambient_light_change import AmbientLightChange
+from scanner.decoding.constraints.frame_consistency import suspected
+from scanner.decoding.coordinates.code_images import CodeImages
+from scanner.decoding.coordinates.coordinate_maps import Maps, coordinate_maps
+from scanner.decoding.coordinates.edge_refinement import check_roughness, refine_by_edges, widen_by_roughness
+from scanner.decoding.corrections.frame_corrections import (
+    FrameCorrections,
+    corrections_of,
+    is_copy,
+    late_places,
+    patterns_without,
+    saturation_of,
+)
 from scanner.decoding.fringes.single_fringe import shift_of, unchecked_finding
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
-from scanner.decoding.kept_matches import match_kept
-from scanner.decoding.late_frames import is_copy, late_places, patterns_without
-from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
+from scanner.decoding.light.exposures import ExposureMerger, exposures_of
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise, needs_neighbours
+from scanner.decoding.light.samples import Samples
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.matches import OneAxis, match_kept, one_axis, one_axis_finding
 from scanner.decoding.motion import (
     MotionEstimate,
     attribute_to_motion,
     attribute_to_shifts,
+    mask_wrong_bits,
     motion_findings,
     refuse_period_slips,
     refuse_unexplained_motion,
 )
 from scanner.decoding.motion.device_motion import between_periods_px
-from scanner.decoding.one_axis import OneAxis, one_axis, one_axis_finding
+from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels
+from scanner.decoding.motion.wrong_bits import repair_bits
 from scanner.decoding.planning import plan_sequence
-from scanner.decoding.sample_analysis import check_and_calibrate, observe
-from scanner.decoding.samples import Samples
+from scanner.decoding.sample_analysis import CalibratedDecoders, Observations, check_and_calibrate, observe
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.stack import Stack
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
+
+
+def checked_maps(
+    code_images: CodeImages,
+    calibrated: CalibratedDecoders,
+    observed: Observations,
+    *,
+    is_anomalous: bool,
+) -> tuple[Maps, bool]:
+    """Return the maps, and whether each pixel has its own coordinate (from fringes or stripe edges) or that of its
+    cell.
+
+    `is_anomalous`: whether the frame checks found an anomaly. Raises InputError if neighbours contradict each other
+    all over the image, RefusalError if something moved between codes and fringes.
+    """
+    plan = code_images.plan
+    inconsistent = observed.inconsistent
+    corrupted = None if inconsistent is None else inconsistent.corrupted & ~_repaired(code_images, inconsistent)
+    maps = coordinate_maps(code_images, calibrated.decoders, observed.moved, corrupted)
+    if observed.moved is not None and not observed.code_shifts:
+        mask_wrong_bits(plan, maps, observed.moved)
+    elif is_anomalous and not plan.fringes:
+        # Before interpolation between stripe edges, which makes coordinates smooth even where a bit is wrong.
+        mask_wrong_bits(plan, maps, None)
+    undecided = maps.reason == np.uint8(MaskReason.UNDECIDED)
+    leave_out_stray_light(code_images, maps)
+    check_roughness(plan, maps)
+    widen_by_roughness(plan, maps)
+    refined = refine_by_edges(code_images, maps, observed.noise, undecided)
+    with attribute_to_shifts(plan, observed.code_shifts):
+        check_cycles(plan, maps.projector_px)
+    if is_anomalous and observed.moved is None and plan.fringes:
+        mask_wrong_bits(plan, maps, None)
+    return maps, refined or bool(plan.fringes)
+
+
+def _repaired(code_images: CodeImages, inconsistent: InconsistentPixels) -> Bools:
+    """Decide corrupted bits of plain Gray codes, in place; return the pixels (H, W) at which all of them are
+    decided.
+    """
+    unrepaired, decided = (np.zeros(code_images.white.shape, np.bool_) for _ in range(2))
+    for code_words in code_images.codes:
+        by_bit = {
+            bit: inconsistent.corrupted_by_frames[pair]
+            for bit, pair in code_words.code.pairs.items()
+            if pair in inconsistent.corrupted_by_frames
+        }
+        if by_bit and code_words.code.base is None:
+            frames = dict(code_images.equalised(frames=code_words.code.frames))
+            repaired = repair_bits(code_words, by_bit, frames, inconsistent.static)
+            unrepaired |= np.logical_or.reduce(list(by_bit.values())) & ~repaired
+            decided |= repaired
+    return decided & ~unrepaired
 
 
 @dataclass(frozen=True)

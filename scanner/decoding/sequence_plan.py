@@ -17,6 +17,8 @@ COSINE_PARAMETERS = 3
 # Mean difference of two patterns, relative to white, below which they look alike: two bits differ by a half, a dozen
 # steps of a fringe by a sixth.
 _ALIKE = 0.15
+# Over fewer cycles the phases of a scene need not be uniformly distributed.
+ENOUGH_CYCLES = 8.0
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,11 @@ class AxisPlan:
     def corrects_bits(self) -> bool:
         """Whether a second fringe period detects wrong bits of the Gray code."""
         return len(self.fringes) > 1
+
+    @property
+    def is_unchecked(self) -> bool:
+        """Whether nothing checks the systematic phase error: one fringe of too few cycles to show it."""
+        return len(self.fringes) == 1 and self.length < ENOUGH_CYCLES * self.fringes[0].period
 
     @property
     def frames(self) -> list[int]:

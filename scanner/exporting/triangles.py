@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import open3d_module
+from calib import deferred_imports
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Floats, Ints
 from calib.pointcloud import SeenPoints, image_triangles
@@ -21,7 +21,7 @@ from scanner.results import FinishedScan, PlacedScan
 def open3d() -> Any:
     """The module, which has no types. Raises InputError that says what to install if it cannot be loaded."""
     try:
-        return open3d_module.open3d()
+        return deferred_imports.open3d()
     except ImportError as error:
         raise InputError(str(error)) from error
 

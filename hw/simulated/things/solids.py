@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.deferred_imports import open3d
 from calib.numerics import Floats, Ints
-from calib.open3d_module import open3d
 from hw.errors import DeviceError
 from hw.settings import ThingSettings
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.deferred_imports import open3d
 from calib.geometry import Pose
 from calib.numerics import Bools, Floats, Ints
-from calib.open3d_module import open3d
 from hw.settings import ThingSettings
 from hw.simulated.device import PlacedDevice
 from hw.simulated.things.solids import Solid

@@ -1,1 +1,1 @@
-"""Checks of frames, codes and coordinates for anomalies, which lead to a refusal or to a warning for the operator."""
+"""Checks of the coordinates, and what they lead to: a refusal, a finding, or advice for the operator."""

@@ -19,9 +19,8 @@ import numpy as np
 from calib.finding import Datum, Finding, Severity
 from calib.geometry import Matches
 from calib.numerics import Bools, Floats, Floats32, Image, at_random
-from scanner.decoding.checks.frame_consistency import FRAMES_CONTRADICT, MOST_BROKEN, suspected
-from scanner.decoding.code_images import CodeImages
-from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.constraints import FRAMES_CONTRADICT, MOST_BROKEN, suspected
+from scanner.decoding.coordinates import CodeImages, Maps
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, Reasons, count_reasons
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 from scanner.errors import FramesError, InputError

@@ -12,10 +12,8 @@ import numpy as np
 
 from calib.finding import Finding
 from calib.numerics import MANY_PIXELS, Bools, Floats32, Ints, lines_of
-from scanner.decoding.axis_decoder import AxisDecoder, UnwrappedFringes
-from scanner.decoding.checks.frame_consistency import anomaly
-from scanner.decoding.coordinate_maps import Maps
-from scanner.decoding.decoder_calibration import agreeing
+from scanner.decoding.constraints import anomaly
+from scanner.decoding.coordinates import AxisDecoder, Maps, UnwrappedFringes, agreeing
 from scanner.decoding.fringes import disagreements
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan

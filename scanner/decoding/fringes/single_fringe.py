@@ -1,13 +1,17 @@
-"""Systematic error of an axis with a single fringe of few cycles, which nothing in the capture checks.
+"""Phase errors of a nonlinear response, from the phases themselves or, for a single fringe, from its amplitude.
 
-A shorter fringe would disagree with it, and many cycles would show the uneven distribution of a rippled phase
-(`gamma_ripple`). A single long fringe hides two errors. A nonlinear response ripples the phase of N steps N times per
-cycle, by the harmonic of order N − 1: up to a twentieth of a cycle with three steps. Interreflection shifts the phase.
+With few shifts the harmonics of a distorted cosine alias onto the phase: an error that repeats N times per cycle. Over
+many pixels the true phase is uniformly distributed, so the non-uniformity of the measured phase, folded N times, is the
+derivative of that error. (Yu et al., Optics Express 27, 32047, 2019, also estimate gamma from the distribution of
+phases; here no form of the curve is assumed.)
 
-The same harmonic ripples the fringe's amplitude, which the scene has no reason to do: with I_n = Σ b_k cos k(θ +
-2πn/N), the measured phasor is b₁ e^{iθ} (1 + (b_{N−1}/b₁) e^{−iNθ} + …), so the real part of its logarithm determines
-the imaginary part. Response curves are modelled as powers, from the residual of a camera's tone curve up to a
-projector's gamma; the amplitudes give the likelihood of each exponent, within the scene's own variation.
+A single fringe of few cycles shows no such distribution, and no shorter fringe disagrees with it. It hides two errors.
+A nonlinear response ripples the phase of N steps N times per cycle, by the harmonic of order N − 1: up to a twentieth
+of a cycle with three steps. Interreflection shifts the phase. The same harmonic ripples the fringe's amplitude, which
+the scene has no reason to do: with I_n = Σ b_k cos k(θ + 2πn/N), the measured phasor is b₁ e^{iθ} (1 + (b_{N−1}/b₁)
+e^{−iNθ} + …), so the real part of its logarithm determines the imaginary part. Response curves are modelled as powers,
+from the residual of a camera's tone curve up to a projector's gamma; the amplitudes give the likelihood of each
+exponent, within the scene's own variation.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,9 +26,57 @@ from numpy.typing import NDArray
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats, Floats32, biweight, fit_reweighted
 from calib.refinement import Shift
-from scanner.decoding.fringes.gamma_ripple import CYCLE, ENOUGH_CYCLES, TABLE_LENGTH
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
-from scanner.decoding.significance import FEWEST_PIXELS, MEDIAN_ROUNDS
+from scanner.decoding.significance import FEWEST_PIXELS, MEDIAN_ROUNDS, SIGNIFICANT_SIGMAS
+
+# Phases of correction tables, which are not interpolated: steps of a quarter of a thousandth of a cycle.
+CYCLE = np.linspace(0, 2 * np.pi, 4096, endpoint=False)
+TABLE_LENGTH = len(CYCLE)
+# From five equal shifts on, a gamma of 2.2 ripples the phase by less than 0.0003 cycle; with three it is 0.05.
+_MANY_SHIFTS = 5
+_HARMONICS = 8  # of the density of phases, which a smooth response leaves
+
+
+def can_ripple(fringe: Fringe) -> bool:
+    """Whether harmonics distort this fringe's phase noticeably, in a way that the phases show."""
+    return fringe.equal_steps and len(fringe.shifts) < _MANY_SHIFTS
+
+
+def straightening(fringe: Fringe, phases: Sequence[Floats32]) -> Floats32 | None:
+    """Return the phase correction as a table over one cycle, both in radians; None if none is significant.
+
+    `phases`: samples of fringes with the same shifts as `fringe`, shown on the same projector.
+    """
+    steps, first = len(fringe.shifts), 2 * np.pi * fringe.shifts[0]
+    angle = np.concatenate(phases).astype(np.float64) + first
+    if len(angle) < FEWEST_PIXELS:
+        return None
+    harmonics = np.arange(1, _HARMONICS + 1)
+    spectrum = _spectrum(angle)
+    moments = spectrum[steps * harmonics]
+    if abs(moments[0].real) < SIGNIFICANT_SIGMAS * max(_unevenness(spectrum, steps), abs(moments[0].imag)):
+        return None
+    # Density of ψ = N θ: (1 + Σ 2 c_j cos jψ) / 2π, even because the shifted cosine is; its integral is the true phase.
+    psi = steps * (CYCLE + first)
+    ripple = np.sum(2 * moments.real[:, None] / harmonics[:, None] * np.sin(np.outer(harmonics, psi)), axis=0)
+    table: Floats32 = (ripple / steps).astype(np.float32)
+    return table
+
+
+def _spectrum(angle: Floats) -> NDArray[np.complex128]:
+    """Return the means of exp(i k angle) for k = 0, 1, 2 …, from a histogram."""
+    bins = (angle * (TABLE_LENGTH / (2 * np.pi))).astype(np.int64) % TABLE_LENGTH
+    counts = np.bincount(bins, minlength=TABLE_LENGTH)
+    to_middles = np.exp(1j * CYCLE[: TABLE_LENGTH // 2 + 1] / 2)
+    spectrum: NDArray[np.complex128] = np.conj(np.fft.rfft(counts)) / len(angle) * to_middles
+    return spectrum
+
+
+def _unevenness(spectrum: NDArray[np.complex128], steps: int) -> float:
+    """Return the RMS non-uniformity at frequencies that harmonics cannot cause: scene and chance."""
+    frequencies = [k for k in range(1, 3 * steps) if k % steps]
+    return float(np.sqrt(np.mean(np.abs(spectrum[frequencies]) ** 2)))
+
 
 UNCHECKED = FindingKind(
     "unchecked-fringe",
@@ -136,11 +188,6 @@ class Unchecked:
     def _by_true_phase(self, of_measured: Floats) -> Floats32:
         true = CYCLE + self.response.straightening(self.fringe)
         return np.interp(CYCLE, true, of_measured, period=2 * pi).astype(np.float32)
-
-
-def is_unchecked(axis: AxisPlan) -> bool:
-    """Whether nothing checks the systematic phase error of an axis."""
-    return len(axis.fringes) == 1 and axis.length < ENOUGH_CYCLES * axis.fringes[0].period
 
 
 def shift_of(unchecked: Sequence[Unchecked]) -> Shift:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Floats, Floats32, Image, Part, fit_reweighted, median, robust_sigma
-from scanner.decoding.light.lit_pixels import LIT
+from scanner.decoding.light.exposures import LIT
 from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, NEGLIGIBLE, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import SEED, Floats32, medians, robust_sigmas
-from scanner.decoding.samples import Sample
+from scanner.decoding.light.samples import Sample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, MAJORITY
 

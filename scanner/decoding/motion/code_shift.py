@@ -13,8 +13,8 @@ from math import inf
 import numpy as np
 
 from calib.numerics import ENOUGH_PIXELS, Bools, Floats, Floats32, HuberFit, Ints, evenly_spread, fit_huber
-from scanner.decoding.code_images import Signals
 from scanner.decoding.codes import interval_of
+from scanner.decoding.coordinates import Signals
 from scanner.decoding.light import NoiseModel
 from scanner.decoding.motion.pixels import ObservedFringes
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan

@@ -14,8 +14,7 @@ import numpy as np
 
 from calib.numerics import Floats, Floats32, Ints, huber_weights, median
 from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel
-from scanner.decoding.motion.pixels import MotionPixels
-from scanner.decoding.motion.rigid import COLUMNS, PRIOR_PX
+from scanner.decoding.motion.pixels import COLUMNS, PRIOR_PX, MotionPixels
 from scanner.decoding.significance import HUBER_SIGMAS, NEGLIGIBLE
 
 UNKNOWNS = COLUMNS + 1  # of a frame: the motion of both devices, and the share of the frame before

@@ -14,10 +14,9 @@ import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Bools, Floats32
-from scanner.decoding.discontinuities import SMALLEST_PATCH
-from scanner.decoding.light import NoiseModel
-from scanner.decoding.motion.photometric_constraints import STATIC_SHARE, find_violations, frames_of_fine_bits
-from scanner.decoding.samples import GridSample
+from scanner.decoding.constraints import STATIC_SHARE, find_violations, frames_of_fine_bits
+from scanner.decoding.coordinates import SMALLEST_PATCH
+from scanner.decoding.light import GridSample, NoiseModel
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW
 

@@ -20,7 +20,7 @@ from calib.diagnostics import (
     spread_of_vertex,
     stacked,
 )
-from calib.diagnostics.smooth_errors import smooth_error_px, smooth_modes
+from calib.diagnostics.spatial_errors import smooth_error_px, smooth_modes
 from calib.geometry import Calibration, Matches, Sigmas, intersect
 from calib.numerics import Floats, blocks
 from calib.pointcloud import FittedPlane, dihedral_angle_rad, dihedral_gradients, fit_plane

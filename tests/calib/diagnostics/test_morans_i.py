@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnostics.morans_i import spatial_correlation
+from calib.diagnostics.spatial_errors import spatial_correlation
 
 PIXELS = np.stack(np.meshgrid(np.arange(400.0), np.arange(300.0)), -1).reshape(-1, 2)[::3]
 

@@ -1,9 +1,9 @@
 import numpy as np
 
 from calib.geometry import Plane, Pose, Size, rotation_about
+from calib.networks.initialisation import placed
 from calib.networks.network import Device, Network
-from calib.networks.placement import placed
-from calib.networks.sights import PlaneObservation
+from calib.networks.observations import PlaneObservation
 from calib.refinement import Cells
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Corner, Intrinsics
-from calib.pointcloud.corner_registration import find_order
-from calib.pointcloud.corner_view import CornerView
+from calib.pointcloud.corner_registration import CornerView, find_order
 from hw.settings import SimulatedRigSettings
 from hw.simulated import paint, place_room
 from tests.support.whole_room import lit_picture, observed

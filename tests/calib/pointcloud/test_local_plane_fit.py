@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calib.numerics import Floats
-from calib.pointcloud.local_plane_fit import WindowPlanes, window_planes
+from calib.pointcloud.plane_fit import WindowPlanes, window_planes
 
 FOCAL_PX = 400.0
 

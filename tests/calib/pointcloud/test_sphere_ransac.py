@@ -8,7 +8,7 @@ import pytest
 
 from calib.geometry import Intrinsics, intersect
 from calib.pointcloud.pixel_grid import NONE, density, index_grid, without_gaps
-from calib.pointcloud.sphere_ransac import OrganisedPoints, find_sphere
+from calib.pointcloud.sphere_fit import OrganisedPoints, find_sphere
 from tests.support.cloud_scene import CAMERA, SPHERE_RADIUS_M, Scene, room, with_mistakes
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.registration import StationView, find_keypoints, register
-from calib.registration.keypoint_poses import keypoint_poses
+from calib.registration.hypotheses import keypoint_poses
 from calib.registration.keypoints import Keypoints, match_keypoints
 from calib.registration.range_view import surfaces_of
 from calib.synthetic import Paint, StationCloud, random_furnished_room, ring, seen_from

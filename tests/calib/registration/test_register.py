@@ -9,8 +9,8 @@ from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats
 from calib.pointcloud import surface
 from calib.registration import ANOTHER_ROOM, NO_OVERLAP, NOTHING_SEEN, Registration, StationView, register, station_view
+from calib.registration.hypotheses import shape_poses
 from calib.registration.range_view import surfaces_of
-from calib.registration.shape_descriptors import shape_poses
 from calib.synthetic import FurnishedRoom, StationCloud, moved_rig, random_furnished_room, ring, seen_from
 
 pytestmark = pytest.mark.xdist_group("registration")  # what the module shares is made once
@@ -144,7 +144,7 @@ def test_without_open3d_the_message_names_what_to_install(
     def missing(name: str) -> object:
         raise OSError("libGL.so.1: cannot open shared object file")
 
-    monkeypatch.setattr("calib.open3d_module.import_module", missing)
+    monkeypatch.setattr("calib.deferred_imports.import_module", missing)
     with pytest.raises(ImportError, match=r"libGL\.so\.1.*apt-get install libgl1 .*libgomp1"):
         shape_poses(surfaces_of(views[0]), surfaces_of(views[1]))
 

@@ -3,7 +3,7 @@ import pytest
 
 from calib.geometry import Matches
 from calib.rooms import RoomEstimate
-from calib.rooms.contacts import Contact, find_contacts
+from calib.rooms.factors import Contact, find_contacts
 from tests.calib.rooms.conftest import Case, case_of
 from tests.support.numeric import gradient_of
 

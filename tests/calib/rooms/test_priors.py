@@ -4,7 +4,7 @@ import pytest
 from calib.estimation import evaluate
 from calib.refinement import ORDINARY_LENSES, ROTATION, SHARED, Knowledge, KnownRig
 from calib.rooms import RigPrior, Room
-from calib.rooms.patches import patches_of
+from calib.rooms.factors import patches_of
 from calib.rooms.priors import RoomPrior
 from tests.calib.rooms.conftest import Case
 from tests.support.numeric import gradient_of

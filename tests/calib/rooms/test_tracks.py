@@ -9,8 +9,8 @@ from calib.geometry import PER_POSE, Plane, Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, State, device_of
 from calib.rooms import LabelledPicture, Room
+from calib.rooms.factors import Track
 from calib.rooms.point_tracking import find_tracks
-from calib.rooms.tracks import Track
 from calib.synthetic import CloudErrors, Paint, random_furnished_room, ring, seen_from
 from tests.calib.registration.test_register import CAMERA
 from tests.support.numeric import gradient_of

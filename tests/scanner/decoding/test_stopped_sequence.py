@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from calib.geometry import Calibration, Intrinsics, Pose
 from scanner.decoding.decoder import Decoder
-from scanner.decoding.planning import plan_sequence
-from scanner.decoding.stopped_sequence import usable
+from scanner.decoding.planning import plan_sequence, usable
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Gray, Pattern, Phase, PresetName, draw, sequence_for
 

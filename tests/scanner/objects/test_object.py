@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.open3d_module import open3d
+from calib.deferred_imports import open3d
 from calib.refusal import RefusalError
 from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object

@@ -117,7 +117,7 @@ def test_without_open3d_nothing_is_started(
     def missing(name: str) -> object:
         raise OSError("libGL.so.1: cannot open shared object file")
 
-    monkeypatch.setattr("calib.open3d_module.import_module", missing)
+    monkeypatch.setattr("calib.deferred_imports.import_module", missing)
     with pytest.raises(Exception, match=r"libGL\.so\.1.*apt-get install libgl1 .*libgomp1"):
         scan_room(example.config, tmp_path / "out", stations=example.files)
     assert not (tmp_path / "out").exists()

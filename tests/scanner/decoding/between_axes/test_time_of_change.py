@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.numerics import Image
-from scanner.decoding.between_axes.time_of_change import time_of_change
+from scanner.decoding.between_axes.coarse_to_fine import time_of_change
 
 SHAPE = (48, 64)
 EVERYWHERE = np.ones(SHAPE, np.bool_)

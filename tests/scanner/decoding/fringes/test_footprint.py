@@ -6,8 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from scanner.decoding.fringes import Footprint, shading_shift
-from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
-from scanner.decoding.fringes.footprint_shift import log_amplitude
+from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of, log_amplitude
 
 TILE = 48
 OVERSAMPLED = 8

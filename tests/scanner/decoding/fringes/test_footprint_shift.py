@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from calib.numerics import Floats32
 from scanner.decoding.fringes import Footprint, shading_shift
-from scanner.decoding.fringes.footprint_shift import (
+from scanner.decoding.fringes.footprint import (
     CROSS,
     correct_curvature_shift,
     curvature_kernel,

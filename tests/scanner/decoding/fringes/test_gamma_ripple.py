@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scanner.decoding import Fringe
-from scanner.decoding.fringes.gamma_ripple import TABLE_LENGTH, straightening
+from scanner.decoding.fringes.single_fringe import TABLE_LENGTH, straightening
 
 
 @pytest.mark.parametrize(("steps", "gamma"), [(3, 1.6), (3, 2.2), (4, 1.6), (4, 3.0)])

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from scanner.decoding import MaskReason, plan_sequence
 from scanner.decoding.codes import interval_of
-from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
-from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
+from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, resolve_contradictory_codes, unwrap
 from scanner.patterns import PRESETS, Code, Xor, gray_sequence, phase_sequence, xor_sequence
 from tests.support.synthetic_capture import Scene
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from calib.numerics import Bools
 from scanner.decoding import MaskReason, plan_sequence
 from scanner.decoding.codes import CodeWords, cell_numbers
-from scanner.decoding.motion.bit_repair import repair_bits
+from scanner.decoding.motion.wrong_bits import repair_bits
 from scanner.patterns import Gray, sequence_for
 from tests.support.findings import kinds_of
 from tests.support.synthetic_capture import Scene, decode

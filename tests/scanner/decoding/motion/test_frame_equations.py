@@ -8,8 +8,7 @@ from scanner.decoding.motion import shifts_by_motion
 from scanner.decoding.motion.frame_equations import UNKNOWNS, FrameEquations, equations_of_motion
 from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel, fringe_frames
 from scanner.decoding.motion.measure import Trajectory, trajectories_of
-from scanner.decoding.motion.pixels import MotionPixels
-from scanner.decoding.motion.rigid import COLUMNS
+from scanner.decoding.motion.pixels import COLUMNS, MotionPixels
 from scanner.patterns import PRESETS
 
 SIZE, COUNT = (854, 480), 3000

@@ -8,9 +8,9 @@ import pytest
 
 from calib.numerics import Bools, Floats, Image
 from scanner.decoding import Decoding, GridSample, MaskReason, plan_sequence
+from scanner.decoding.constraints.photometric_constraints import find_violations
 from scanner.decoding.light import NoiseModel
 from scanner.decoding.motion import InconsistentPixels, find_inconsistent_pixels
-from scanner.decoding.motion.photometric_constraints import find_violations
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for
 from tests.support.findings import kinds_of, the_only

@@ -4,7 +4,7 @@ import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN
 from scanner.decoding.motion import fit_motion
-from scanner.decoding.motion.rigid import COLUMNS, PRIOR_PX
+from scanner.decoding.motion.pixels import COLUMNS, PRIOR_PX
 
 
 def test_the_motion_is_the_robust_mean_of_the_observations() -> None:

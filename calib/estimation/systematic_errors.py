@@ -1,0 +1,185 @@
+"""Covariances of what residuals do not show, to first order: smooth shifts of matches, and planes that are not flat.
+
+The smooth errors that a decoder is known for are mostly shown by a room's residuals, as one corner's are not: every
+station sees several planes, and places and planes take up a few of each one's twenty polynomials. What residuals show
+is in the cells' variances already. Beyond that errors can only be as large as passes for chance
+(`calib.refinement.systematic_shifts`).
+
+Plaster and floors deviate by millimetres, far beyond the noise of matches. A plane with such residuals is modelled with
+heights of random waves over its visible part, longer waves being higher. Their amplitude follows from the residuals, of
+which the fit has absorbed a known part. To first order, the waves move the room like shifts of the matches. Stations
+that see one wall see the same waves.
+"""
+
+from collections.abc import Sequence
+from typing import Generic
+
+import numpy as np
+
+from calib.estimation.likelihood import AnyLayout, Fit, Part
+from calib.estimation.noise import NoiseLevels
+from calib.geometry import tangent_basis
+from calib.numerics import CUBIC, Bools, Floats, Ints, by_pixel, orthonormal_polynomials
+from calib.refinement import Shifts
+
+
+def covariance_of_shifts(
+    patches: Sequence[Part[AnyLayout]],
+    fit: Fit[AnyLayout],
+    variances: Sequence[Floats],
+    free: Bools,
+    levels: NoiseLevels,
+    shifts: Sequence[Shifts],
+) -> Floats:
+    """The covariance (size, size) of the room due to the `shifts` of each station, independent between stations.
+
+    Stations at one place have the same errors, and are shifted together.
+    """
+    columns = np.flatnonzero(free)
+    covariance = np.zeros_like(fit.information)
+    hidden = [_hidden_px(patches, variances, station, len(columns) / len(patches)) for station in range(len(shifts))]
+    for station, of_station in enumerate(shifts):
+        every = (*of_station.likely, *of_station.possible)
+        together = np.zeros((fit.layout.size, len(every)))
+        apart = []
+        for patch, variance in zip(patches, variances, strict=True):
+            if patch.capture != station:
+                continue
+            if every:
+                at = patch.cells.camera_px, patch.cells.projector_px, _gradient(fit.layout, patch)
+                together += _pull(fit.layout, patch, variance, np.stack([shift(*at) for shift in every], axis=2))
+            if of_station.smooth_px:
+                smooth_px = min(of_station.smooth_px, hidden[station])
+                apart.append(_pull(fit.layout, patch, variance, smooth_px * _fields(patch)))
+        pull = np.concatenate([together, *apart], axis=1)[columns]
+        if pull.shape[1]:
+            moved = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull)
+            covariance[np.ix_(columns, columns)] += levels.stations[station].repeats * moved @ moved.T
+    return covariance
+
+
+def _hidden_px(patches: Sequence[Part[AnyLayout]], variances: Sequence[Floats], station: int, absorbed: float) -> float:
+    """How large each of a station's smooth errors may be, as of `Shifts.smooth_px`, before its residuals show it.
+
+    Of a patch with M cells of variance v each polynomial's amplitude has the variance v / M by chance. Errors of the
+    variance s² add s² M / v to χ² for each of the F that the fit has not `absorbed`, which is √(2 F) off by chance.
+    """
+    own = [
+        len(patch.cells) / float(np.mean(variance))
+        for patch, variance in zip(patches, variances, strict=True)
+        if patch.capture == station
+    ]
+    if not own:
+        return np.inf
+    freedom = len(own) * (2 * CUBIC - absorbed)
+    return float(np.sqrt(np.sqrt(2 / freedom) / np.mean(own))) if freedom > 1 else np.inf
+
+
+def _fields(patch: Part[AnyLayout]) -> Floats:
+    """Every polynomial up to the cubic ones over a patch, orthonormal in the mean, along either axis, (M, 2, 2 K)."""
+    modes = orthonormal_polynomials(patch.cells.camera_px)
+    along = np.zeros((len(patch.cells), 2, 2 * modes.shape[1]))
+    along[:, 0, : modes.shape[1]] = along[:, 1, modes.shape[1] :] = np.sqrt(len(patch.cells)) * modes
+    return along
+
+
+def _pull(layout: AnyLayout, patch: Part[AnyLayout], variance: Floats, fields: Floats) -> Floats:
+    """Σ Jᵀ s / v for fields s (M, 2, K), (size, K)."""
+    _, jacobian, _ = patch.predict(layout)
+    own = np.einsum("nac,nak->ck", jacobian / variance[:, None, None], fields, optimize=True)
+    pull = np.zeros((layout.size, fields.shape[2]))
+    pull[patch.columns(layout)] = patch.carried(layout).T @ own
+    return pull
+
+
+def _gradient(layout: AnyLayout, patch: Part[AnyLayout]) -> Floats:
+    """Of the projector's pixels (rows) by the camera's, (M, 2, 2)."""
+    return by_pixel(lambda pixels: patch.predict(layout, pixels)[0], patch.cells.camera_px)
+
+
+_ORDERS = 6  # half-waves along either side of the visible part of a plane
+_LEAST_LEFT = 1e-3  # share of the waves left by the fit; with less, residuals do not determine their heights
+
+
+def covariance_of_waves(
+    patches: Sequence[Part[AnyLayout]],
+    fit: Fit[AnyLayout],
+    variances: Sequence[Floats],
+    free: Bools,
+    levels: NoiseLevels,
+) -> tuple[Floats, Floats]:
+    """The covariance (size, size) that the waves of planes which are not flat give the room.
+
+    With it their root mean square heights (P,) in baselines; 0 for planes that may be flat.
+    """
+    columns = np.flatnonzero(free)
+    covariance, heights = np.zeros_like(fit.information), np.zeros(len(fit.layout.planes))
+    for plane in np.flatnonzero(levels.planes > 1).tolist():
+        on_plane = [
+            _Waves(fit, patch, residual, variance)
+            for patch, residual, variance in zip(patches, fit.residuals, variances, strict=True)
+            if patch.plane == plane
+        ]
+        modes = modes_over([waves.patch.points(fit.layout) for waves in on_plane], fit.layout.planes[plane].normal)
+        pull = np.sum([waves.pull(of_patch) for waves, of_patch in zip(on_plane, modes, strict=True)], axis=0)
+        moved = np.zeros_like(pull)
+        moved[columns] = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull[columns])
+        left, whole = (
+            sum(waves.energy_left(of_patch, after) for waves, of_patch in zip(on_plane, modes, strict=True))
+            for after in (moved, np.zeros_like(moved))
+        )
+        if left < _LEAST_LEFT * whole:
+            continue
+        energy = sum(waves.energy() for waves in on_plane)
+        # Variances on the plane were enlarged by the waves; this is the noise without them.
+        noise = len(on_plane) * CUBIC / levels.planes[plane]
+        variance = max(energy - noise, 0.0) / left
+        covariance += variance * moved @ moved.T
+        heights[plane] = np.sqrt(variance * np.mean(np.sum(np.concatenate(modes) ** 2, axis=1)))
+    return covariance, heights
+
+
+class _Waves(Generic[AnyLayout]):
+    """One patch of a plane, and what heights (M,) of the plane under its cells do."""
+
+    def __init__(self, fit: Fit[AnyLayout], patch: Part[AnyLayout], residual: Floats, variance: Floats) -> None:
+        self.fit, self.patch = fit, patch
+        _, self.jacobian, _ = patch.predict(fit.layout)
+        self.by_height = self.jacobian[:, :, -1]
+        self.root = np.linalg.norm(self.by_height, axis=1) / np.sqrt(variance)
+        self.variance, self.residual = variance, residual
+        self.low = orthonormal_polynomials(patch.cells.camera_px, self.root)
+        self.columns: Ints = patch.columns(fit.layout)
+
+    def pull(self, modes: Floats) -> Floats:
+        """Σ Jᵀ s / v of the shifts s by modes (M, K), (size, K)."""
+        weighted = np.einsum("nac,na->nc", self.jacobian, self.by_height / self.variance[:, None])
+        pull = np.zeros((self.fit.layout.size, modes.shape[1]))
+        pull[self.columns] = self.patch.carried(self.fit.layout).T @ (weighted.T @ modes)
+        return pull
+
+    def energy(self) -> float:
+        """What the residuals have of heights in long waves, over their variances."""
+        return self._in_long_waves(self.residual[:, :, None])
+
+    def energy_left(self, modes: Floats, moved: Floats) -> float:
+        """The same for modes (M, K), all together, where the fit has followed them by steps (size, K)."""
+        own = self.patch.carried(self.fit.layout) @ moved[self.columns]
+        return self._in_long_waves(self.by_height[:, :, None] * modes[:, None, :] - self.jacobian @ own)
+
+    def _in_long_waves(self, shifts: Floats) -> float:
+        heights = np.einsum("na,nak->nk", self.by_height, shifts) / np.sum(self.by_height**2, axis=1)[:, None]
+        return float(np.sum((self.low.T @ (heights * self.root[:, None])) ** 2))
+
+
+def modes_over(points: Sequence[Floats], normal: Floats, margin: float = 0.0) -> list[Floats]:
+    """Cosines over the bounding rectangle of the points (M, 3) of each patch on a plane, with heights proportional to
+    their lengths. `margin`: around it, of its longer side.
+    """
+    places = [positions @ tangent_basis(normal) for positions in points]
+    every = np.concatenate(places)
+    sides = np.maximum(np.ptp(every, axis=0), 1e-12)
+    low, sides = every.min(axis=0) - margin * sides.max(), sides + 2 * margin * sides.max()
+    orders = np.stack(np.meshgrid(*[np.arange(_ORDERS + 1)] * 2), axis=-1).reshape(-1, 2)[1:]
+    height = sides.max() / np.hypot(*(orders * (sides.max() / sides)).T)  # relative to the wave's number: its length
+    return [np.cos(np.pi * ((place - low) / sides)[:, None, :] * orders).prod(axis=2) * height for place in places]

@@ -1,0 +1,191 @@
+"""A plane lit by one projector and seen by one camera, and what such pairs have in common in the image of a device."""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import PER_PLANE, Matches, Plane, Pose, Size, cross_matrix, tangent_basis, unproject
+from calib.networks.network import PER_NODE, PER_WARP, WARP, Device, Network
+from calib.networks.raster import ImageRaster, SeenAt, depths
+from calib.networks.shared_points import SharedPoints, shared_points
+from calib.numerics import Bools, Floats, Ints
+from calib.refinement import PER_DEVICE, Cells
+
+PER_SIGHT = 2 * PER_NODE + PER_PLANE
+_AXES = np.eye(3)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneObservation:
+    """The `cells` of one plane that `camera` sees in the light of `projector`; all by number in the network.
+
+    `capture`: number of the pair.
+    """
+
+    capture: int
+    camera: int
+    projector: int
+    plane: int
+    cells: Cells
+
+    def columns(self, network: Network) -> Ints:
+        """The network's columns that it depends on, (39,): the camera's, the projector's, the plane's."""
+        every = np.arange(network.size, dtype=np.int32)
+        return np.concatenate(
+            [
+                every[network.device_columns(self.camera)],
+                every[network.device_columns(self.projector)],
+                every[network.plane_columns(self.plane)],
+            ]
+        )
+
+    def carried(self, _: Network) -> Floats:
+        """Its own columns are those of the network, (39, 39)."""
+        return np.eye(PER_SIGHT)
+
+    def points(self, network: Network) -> Floats:
+        """Where the rays of its cells meet the plane, (M, 3) in the network's frame."""
+        camera = network.devices[self.camera]
+        return points_on(self.cells.camera_px, camera, network.planes[self.plane])
+
+    def predict(self, network: Network, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+        """Projector pixels (N, 2) of its cells, or of `camera_px`, their Jacobian (N, 2, 39), and depths (N, 2).
+
+        A point stays on the plane: moved by v it slides back along its ray u, n · u = 1, by u (n · v).
+        """
+        camera, projector = network.devices[self.camera], network.devices[self.projector]
+        plane = network.planes[self.plane]
+        rays, by_lens, by_warp = camera.rays(self.cells.camera_px if camera_px is None else camera_px)
+        along, depth = _meet(rays, camera.pose, plane)
+        off = along * plane.offset_from(camera.pose.translation)
+        points = off + camera.pose.translation
+        onto = np.eye(3) - along[:, :, None] * plane.normal
+        tilts = -along[:, :, None] * (points @ tangent_basis(plane.normal))[:, None]
+        onto_plane = depth[:, None, None] * (onto @ camera.pose.rotation)
+        moved = np.concatenate(
+            [
+                onto_plane @ by_lens,
+                -onto @ cross_matrix(off),
+                onto,
+                onto_plane @ by_warp,
+                np.zeros((len(rays), 3, PER_DEVICE)),
+                cross_matrix(points - projector.pose.translation),
+                np.broadcast_to(-_AXES, onto.shape),
+                np.zeros((len(rays), 3, PER_WARP)),
+                tilts,
+                along[:, :, None],
+            ],
+            axis=2,
+        )
+        before = projector.pose.undo(points)
+        pixels, by_point, by_lens, by_warp = projector.pixels(before)
+        jacobian = by_point @ (projector.pose.rotation.T @ moved)
+        of_projector = jacobian[:, :, PER_NODE:]
+        of_projector[:, :, :PER_DEVICE] += by_lens
+        of_projector[:, :, WARP] += by_warp
+        return pixels, jacobian, np.stack([depth, before[:, 2]], axis=1)
+
+
+def points_on(pixels: Floats, device: Device, plane: Plane) -> Floats:
+    """Where the rays of a device's pixels (N, 2) meet a plane, (N, 3) in the room's frame."""
+    rays, _, _ = device.rays(pixels)
+    _, depth = _meet(rays, device.pose, plane)
+    return device.pose @ (rays * depth[:, None])
+
+
+def _meet(rays: Floats, pose: Pose, plane: Plane) -> tuple[Floats, Floats]:
+    """Rays in the room's frame scaled to n · u = 1, (N, 3), and the depths at which they meet the plane, (N,)."""
+    turned = pose.rotate(rays)
+    facing = turned @ plane.normal
+    return turned / facing[:, None], plane.offset_from(pose.translation) / facing
+
+
+PairName = tuple[str, str]  # camera, projector
+
+
+def pixels_of(matches: Matches, role: int) -> Floats:
+    """Of a pair's camera, 0, or its projector, 1."""
+    return matches.projector_px if role else matches.camera_px
+
+
+@dataclass(frozen=True, eq=False)
+class Overlaps:
+    """`rasters` of devices that are part of several pairs; `seen`: by such a device and another one that it shares
+    matches with.
+    """
+
+    rasters: Mapping[str, ImageRaster]
+    seen: Mapping[tuple[str, str], SeenAt]
+
+    @classmethod
+    def of(cls, captures: Mapping[PairName, Matches], sizes: Mapping[str, Size]) -> "Overlaps":
+        """From the matches of each pair."""
+        pixels: dict[str, dict[str, tuple[Floats, Floats]]] = {}
+        for (camera, projector), matches in captures.items():
+            pixels.setdefault(camera, {})[projector] = matches.camera_px, matches.projector_px
+            pixels.setdefault(projector, {})[camera] = matches.projector_px, matches.camera_px
+        shared = {hub: others for hub, others in pixels.items() if len(others) > 1}
+        rasters = {hub: ImageRaster.fine(sizes[hub], [own for own, _ in each.values()]) for hub, each in shared.items()}
+        seen = {
+            (hub, other): SeenAt.of(rasters[hub], *each)
+            for hub, others in shared.items()
+            for other, each in others.items()
+        }
+        return cls(rasters, seen)
+
+    def match_px(self, pair: PairName) -> float:
+        """Noise of a pair's matches in projector pixels, by how far they are off their neighbours; NaN if unknown."""
+        camera, projector = pair
+        if (camera, projector) in self.seen:
+            return self.seen[camera, projector].noise_px
+        if (projector, camera) not in self.seen:
+            return np.nan
+        seen = self.seen[projector, camera]
+        known = np.isfinite(seen.by_own).all(axis=(-2, -1))
+        return seen.noise_px / float(np.sqrt(np.median(np.abs(np.linalg.det(seen.by_own[known])))))
+
+    def known_points(
+        self, devices: Mapping[str, Device], hub: str, new: str, pairs: Collection[PairName]
+    ) -> tuple[Floats, Floats]:
+        """Points (N, 3) of the room that pairs with a placed `hub` tell, and the pixels (N, 2) of a `new` device."""
+        raster, seen = self.rasters[hub], self.seen[hub, new]
+        depth = np.full((raster.height, raster.width), np.nan)
+        for other in self._partners(hub, pairs):
+            told, _ = depths(devices[hub], devices[other], raster.centres, self.seen[hub, other])
+            depth = np.where(np.isfinite(depth), depth, told)
+        there = np.isfinite(depth) & np.isfinite(seen.pixels).all(axis=-1)
+        pose = devices[hub].pose
+        rays, _ = unproject(devices[hub].lens, raster.centres[there])
+        return pose @ (depth[there][:, None] * rays), seen.pixels[there]
+
+    def joints(
+        self, network: Network, names: tuple[str, ...], labelled: Mapping[PairName, Matches]
+    ) -> Iterator[SharedPoints]:
+        """What ties devices where matches are on no plane."""
+        hubs = {hub: self._partners(hub, labelled) for hub in self.rasters if hub in names}
+        hubs = {hub: others for hub, others in hubs.items() if len(others) > 1}
+        for hub, others in hubs.items():
+            found = shared_points(
+                names.index(hub),
+                self.rasters[hub],
+                {names.index(other): self.seen[hub, other] for other in others},
+                self._loose(hub, labelled),
+                network,
+                {names.index(other): 1 + (other in hubs) for other in others},
+            )
+            if found is not None:
+                yield found
+
+    def _partners(self, hub: str, pairs: Collection[PairName]) -> list[str]:
+        return [pair[1 - pair.index(hub)] for pair in pairs if hub in pair]
+
+    def _loose(self, hub: str, labelled: Mapping[PairName, Matches]) -> Bools:
+        """Cells (h, w) of a device's raster without a match on a plane."""
+        raster = self.rasters[hub]
+        on_planes = np.zeros(raster.height * raster.width, np.bool_)
+        for pair, matches in labelled.items():
+            if hub in pair:
+                pixels = pixels_of(matches, pair.index(hub))
+                on_planes[raster.numbers(pixels[matches.labels >= 0])[0]] = True
+        return ~on_planes.reshape(raster.height, raster.width)

@@ -1,0 +1,225 @@
+"""The bits and the light of all pixels, the frames that they come from, equally bright, and what the decoder of an axis
+takes of them.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import STRIP_ROWS, WHOLE, Floats32, Image, Part, Words, in_slices
+from scanner.decoding.codes import CodeWords
+from scanner.decoding.corrections import gains_of_pairs, levels_of_bit, white_of
+from scanner.decoding.light import Sample
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+
+# Yields the index and the image of each pattern in a part of the picture.
+Frames = Callable[[Part], Iterator[tuple[int, NDArray[Any]]]]
+
+
+class CodeImages:
+    """The full-size images that the bits of a capture give, and its frames.
+
+    `codes`: words and contrasts. `white` (H, W): the white frame or, without one, the maximum over all frames.
+    `threshold` (H, W): grey level half-way between lit and unlit; without black, that of a pair. `peak` (H, W): maximum
+    over the fringe frames, or as `white` without fringes. `log_exposure` (H, W): logarithm of each pixel's relative
+    exposure; None if all were exposed alike. `gains`: of the patterns that have an inverse. `white_gain`: brightness of
+    white in the patterns relative to the white frame; if it differs from 1, `white` and `threshold` are those of the
+    patterns.
+
+    `sample`: of all frames. `read`: yields a part of the frames at some places in the capture.
+    """
+
+    def __init__(
+        self, plan: SequencePlan, sample: Sample, read: Callable[[Part, Sequence[int]], Iterator[Image]]
+    ) -> None:
+        self.plan = self._shown = plan
+        self._read = read
+        self._equalisers: dict[int, Callable[[Image, Part], NDArray[Any]]] = {}
+        self._first = {plan.shown.index(index): index for index in plan.shown}
+        self.gains = gains_of_pairs(plan, sample)
+        for pair, gains in self.gains.items():
+            if gains.are_harmful:
+                self.equalise(pair, gains.equalised)
+        levels = {index: sample.level(index) for index in self._first.values()}
+        white, threshold = _light(plan, levels)
+        alone = {frame for code in plan.codes for frame in code.unpaired.values()}
+        self._bits = {frame: levels_of_bit(levels[frame], threshold, white) for frame in alone}
+        self.white_gain = white_of([bit for bit in self._bits.values() if bit])
+        shape, dtype = sample.shape, threshold.dtype
+        self.codes = [
+            CodeWords(code, shape, dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
+        ]
+        self.log_exposure: Floats32 | None = None
+        self.white, self.threshold = np.empty(shape, dtype), np.empty(shape, dtype)
+        self.peak = np.empty(shape, dtype) if plan.fringes else self.white
+        in_slices(shape[0], STRIP_ROWS, self._fold)
+
+    def _fold(self, rows: slice) -> None:
+        """Fill in some rows."""
+        frames = dict(self.equalised((rows, slice(None))))
+        thresholds = self.thresholds(frames)
+        for code_words in self.codes:
+            code_words.fill(frames, thresholds, rows)
+        white, threshold = _light(self.plan, frames)
+        if self.white_gain != 1:
+            of_white = 2 * self.white_gain - 1, self.white_gain - 1
+            white, threshold = (cast(Image, cv2.addWeighted(white, of, threshold, 1 - of, 0)) for of in of_white)
+        self.white[rows], self.threshold[rows] = white, threshold
+        steps = [frames[frame] for frame in self.plan.fringe_frames]
+        if steps:
+            self.peak[rows] = _extreme(np.maximum, steps)
+
+    def thresholds(self, frames: Mapping[int, Image]) -> dict[int, Image]:
+        """Return the thresholds of bits without an inverse, by the frame's index, where all `frames` are shown."""
+        white, threshold = _light(self._shown, frames)
+        return {frame: bit.threshold(threshold, white) if bit else threshold for frame, bit in self._bits.items()}
+
+    def equalised(
+        self, part: Part = WHOLE, frames: Collection[int] | None = None
+    ) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Yield the index of each pattern, or of some, and a part of its image, equalised."""
+        places = [place for place, index in self._first.items() if frames is None or index in frames]
+        for place, frame in zip(places, self._read(part, places), strict=True):
+            index = self._first[place]
+            yield index, self._equalisers[index](frame, part) if index in self._equalisers else frame
+
+    def equalise(self, group: Sequence[int], by: Callable[[int, Image, Part], NDArray[Any]]) -> None:
+        """Equalise a group of frames from now on, each by its number in the group."""
+        self._equalisers |= {frame: partial(by, number) for number, frame in enumerate(group)}
+
+    def with_edges(self, axis: AxisPlan) -> CodeWords | None:
+        """Return the finest code of an axis whose stripe edges bound its cells; None with fringes, or if there is none.
+
+        Most edges of an XOR code bound no cell. If blur removes the finest stripes, the edges of the next bit are
+        displaced too.
+        """
+        whole = [] if self._shown.fringes else [code for code in self._shown.codes if code.base is None]
+        all_words = [
+            code_words for code_words in self.codes if code_words.code in axis.codes and code_words.code in whole
+        ]
+        return min(all_words, key=lambda code_words: code_words.code.cell, default=None)
+
+    def decode_as(self, codes: Sequence[CodeWords]) -> None:
+        """Replace the codes by these, one for one."""
+        x, y = (
+            replace(axis, codes=tuple(n.code for o, n in zip(self.codes, codes, strict=True) if o.code in axis.codes))
+            for axis in self.plan.axes
+        )
+        self.plan, self.codes = replace(self.plan, x=x, y=y), list(codes)
+
+    def forget_fringes(self) -> None:
+        """Drop the fringes and decode the codes alone; white and black show what is lit."""
+        x, y = (replace(axis, fringes=()) for axis in self.plan.axes)
+        self.plan = replace(self.plan, x=x, y=y)
+        half = cv2.subtract(self.white, self.threshold)
+        for code_words in self.codes:
+            code_words.contrast = cast(Image, cv2.add(half, half))
+
+
+def _light(plan: SequencePlan, frames: Mapping[int, Image]) -> tuple[Image, Image]:
+    """Return the brightest level, and that half-way between lit and unlit, where all `frames` (...) are shown."""
+    white = _extreme(np.maximum, [*frames.values()]) if plan.white is None else frames[plan.white]
+    if plan.black is not None:
+        return white, _mean(white, frames[plan.black])
+    if plan.complements:
+        first = min(plan.complements, key=lambda pair: max(map(plan.shown.index, pair)))
+        return white, _mean(*(frames[frame] for frame in first))
+    return white, _mean(white, _extreme(np.minimum, [*frames.values()]))
+
+
+def _extreme(of: np.ufunc, images: Sequence[Image]) -> Image:
+    extreme = images[0].copy()
+    for image in images[1:]:
+        of(extreme, image, out=extreme)
+    return extreme
+
+
+def _mean(first: Image, second: Image) -> Image:
+    return cast(Image, cv2.addWeighted(first, 0.5, second, 0.5, 0).reshape(first.shape))
+
+
+@dataclass(frozen=True)
+class Signals:
+    """The signals of one axis at P pixels, which form an image, row by row."""
+
+    shape: tuple[int, int]
+    """(H, W) of the image."""
+    words: list[Words]
+    """Per code, (P,)."""
+    least: Floats32
+    """(codes, P): as in `CodeWords`, without the optional bits; empty if the fringes correct wrong bits."""
+    contrast: Floats32
+    """(codes, P): as in `CodeWords`, empty with fringes."""
+    fine: list[dict[int, Image]]
+    """Per code, the contrast (P,) of each optional bit, by bit."""
+    steps: list[tuple[NDArray[Any], Floats32]]
+    """Per fringe, longest period first, the levels of its frames (N, P), and the weights (2, N) with which they add up
+    to its components.
+    """
+    white: Floats32
+    """(P,): grey level when lit."""
+    threshold: Floats32
+    """(P,): grey level half-way between lit and unlit."""
+    peak: Image
+    """(P,): maximum over the fringes."""
+    log_exposure: Floats32 | None = None
+    """(P,): None if all pixels were exposed alike."""
+
+    def fringe(self, number: int) -> Floats32:
+        """Return A cos θ and A sin θ of a fringe in grey levels, (2, P)."""
+        levels, weights = self.steps[number]
+        return weights @ levels.astype(np.float32)
+
+
+def signals_of(
+    code_images: CodeImages,
+    select: Callable[[NDArray[Any]], NDArray[Any]],
+    level: Callable[[int], NDArray[Any]],
+    axes: Sequence[AxisPlan] | None = None,
+) -> Iterator[Signals]:
+    """Return the signals of x, then of y, or of other `axes`, at the pixels that `select` picks from an (H, W) image,
+    as a 2-D array, and at which `level` returns a frame.
+    """
+    threshold, peak, log_exposure = select(code_images.threshold), select(code_images.peak), code_images.log_exposure
+    shape = threshold.shape[0], threshold.shape[1]
+    white, half_lit = _stack([select(code_images.white), threshold], shape)
+    exposure = None if log_exposure is None else select(log_exposure).reshape(-1)
+
+    def of_axis(axis: AxisPlan) -> Signals:
+        codes = [code_words for code_words in code_images.codes if code_words.code in axis.codes]
+        return Signals(
+            shape,
+            [select(code_words.words).reshape(-1) for code_words in codes],
+            _stack([] if axis.corrects_bits else [select(code_words.least_needed) for code_words in codes], shape),
+            _stack([select(code_words.contrast) for code_words in codes if code_words.contrast is not None], shape),
+            [{bit: select(image).reshape(-1) for bit, image in code_words.optional.items()} for code_words in codes],
+            [
+                (np.stack([level(frame) for frame in fringe.frames]).reshape(len(fringe.frames), -1), fringe.weights32)
+                for fringe in axis.fringes
+            ],
+            white,
+            half_lit,
+            np.ascontiguousarray(peak).reshape(-1),
+            exposure,
+        )
+
+    return map(of_axis, axes or code_images.plan.axes)
+
+
+def signals_in(code_images: CodeImages, part: Part) -> Iterator[Signals]:
+    """Return the signals of x, then of y, in a part of the image."""
+    frames = dict(code_images.equalised(part, code_images.plan.fringe_frames))
+    return signals_of(code_images, lambda image: image[part], frames.__getitem__)
+
+
+def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:
+    """Stack images of one shape to (images, P)."""
+    stack = np.empty((len(images), *shape), np.float32)
+    for row, image in zip(stack, images, strict=True):
+        row[:] = image
+    return stack.reshape(len(images), shape[0] * shape[1])

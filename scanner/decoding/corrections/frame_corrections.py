@@ -1,0 +1,175 @@
+"""Effects on all frames of a capture that are corrected before decoding, and frames that are left out.
+
+A frame that is the one before, bit for bit, comes from a projector that was late, or a camera that gave a picture
+twice: noise makes each picture another one. It does not show its pattern, and no comparison of it means anything: a
+fine bit looks unresolved, a coarse one exchanged. It is left out, and mostly its inverse or the other steps of its
+fringe tell what it would have shown.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from calib.finding import Finding, FindingKind, Severity
+from calib.numerics import WHOLE, Image, Part
+from scanner.decoding.constraints import AmbientLightChange, without_change
+from scanner.decoding.corrections.camera_response import CameraResponse, camera_response
+from scanner.decoding.corrections.ghost import Ghost, find_ghost, without_ghost
+from scanner.decoding.light import Sample, measure_noise, saturation_level, unclipped
+from scanner.decoding.planning import usable
+from scanner.decoding.sequence_plan import SequencePlan
+from scanner.errors import FramesError, InputError
+from scanner.patterns import Pattern
+from scanner.shown_text import capitalised
+
+GHOST = FindingKind(
+    "ghost",
+    "Frames show some of the picture before theirs; it was taken out.",
+    "Let the camera wait longer for the projector.",
+    ("ghost_share",),
+)
+LIGHT_SWITCHED = FindingKind(
+    "light-switched",
+    "The light of the room changed between two frames; it was taken out.",
+    "Leave the room's light as it is.",
+    ("frames", "light_share"),
+)
+
+
+@dataclass(frozen=True)
+class FrameCorrections:
+    """The camera's `response`, a `ghost` of the previous picture, and an ambient light change (`switch`); None if
+    absent.
+
+    They are corrected in this order, the reverse of that in which they occur.
+    """
+
+    response: CameraResponse | None = None
+    ghost: Ghost | None = None
+    switch: AmbientLightChange | None = None
+
+    def undone(
+        self, frames: Image, plan: SequencePlan, part: Part = WHOLE, places: Sequence[int] | None = None
+    ) -> Iterator[Image]:
+        """Yield a part of the corrected frames of a capture, from the kept frames (N, H, W): of all, or of those at
+        some places.
+        """
+        every = range(len(frames))
+        wanted = every if places is None else places
+        needed = wanted if self.ghost is None and self.switch is None else every
+        read = partial(self._steady, frames, part, needed)
+        corrected = read() if self.switch is None else without_change(read, plan, self.switch)
+        return (image for place, image in zip(needed, corrected, strict=True) if place in wanted)
+
+    def findings(self, plan: SequencePlan) -> Iterator[Finding]:
+        """Yield a warning for each effect that was corrected."""
+        if self.switch:
+            yield Finding(
+                LIGHT_SWITCHED,
+                Severity.WARNING,
+                f"{capitalised(self.switch.description(plan))}, and was taken out.",
+                "Better: leave the room's light as it is.",
+                {"frames": (self.switch.frame,), "light_share": abs(self.switch.share)},
+            )
+        if self.ghost:
+            yield Finding(
+                GHOST,
+                Severity.WARNING,
+                f"{capitalised(self.ghost.description(plan))}, which was taken out.",
+                GHOST.remedy,
+                {"ghost_share": self.ghost.share},
+            )
+
+    def _steady(self, frames: Image, part: Part, places: Sequence[int]) -> Iterator[Image]:
+        parts = (frames[place][part] for place in places)
+        light = parts if self.response is None else map(self.response.light_of, parts)
+        if self.ghost is None:
+            return light
+        rows = np.arange(frames.shape[1])[part[0]]
+        return without_ghost(light, self.ghost, rows[:, None] if isinstance(part[0], slice) else rows)
+
+
+def corrections_of(plan: SequencePlan, frames: Image, sample: Sample) -> FrameCorrections:
+    """Estimate from a sample what affected all of the kept frames (N, H, W): a nonlinear response, and ghosting."""
+    taken, saturation = sample.as_taken, saturation_of(plan, frames)
+    lit = unclipped(taken, saturation)
+    lit_levels = taken[:, lit]
+    top = np.iinfo(np.uint8).max if frames.dtype == np.uint8 else max(frame.max() for frame in _of(plan, frames, []))
+    response = camera_response(plan, lit_levels.astype(np.float32), saturation, float(top))
+    light = response.light_of(lit_levels) if response else lit_levels
+    return FrameCorrections(response, find_ghost(plan, light.astype(np.float32), sample.rows[lit]))
+
+
+def saturation_of(plan: SequencePlan, frames: Image) -> float:
+    """Return the saturation level of the kept frames (N, H, W), of the fringes if there are any."""
+    return saturation_level(*_of(plan, frames, plan.fringe_frames))
+
+
+def _of(plan: SequencePlan, frames: Image, numbers: list[int]) -> list[Image]:
+    """Return the frames with these numbers; if there are none white or, without white, all."""
+    ends = [] if plan.white is None else [plan.white]
+    return [frames[plan.shown.index(number)] for number in numbers or ends or range(len(plan.patterns))]
+
+
+# Every so many rows are compared first.
+_ROWS = 61
+# Least standard deviation of noise in grey levels, rounding included, at which no two pictures are the same.
+_LEAST_NOISE = 0.4
+
+LATE_FRAMES = FindingKind(
+    "late-frames",
+    "A frame is the one before, bit for bit, as the projector was late or the camera gave a picture twice; left out.",
+    "Let the camera wait longer for the projector.",
+    ("frames",),
+)
+
+
+def describe_copies(names: str, count: int) -> str:
+    """What frames of these names are that are the ones before them, and why."""
+    same = "is the frame before it" if count == 1 else "are the frames before them"
+    return f"{names} {same}, bit for bit: the projector was late, or the camera gave a picture twice"
+
+
+def is_copy(frame: Image, previous: Image) -> bool:
+    """Whether two frames (H, W) are the same, bit for bit."""
+    return np.array_equal(frame[::_ROWS], previous[::_ROWS]) and np.array_equal(frame, previous)
+
+
+def late_places(plan: SequencePlan, frames: Image, sample: Sample, copies: Sequence[int]) -> list[int]:
+    """Those of the `copies` (places of kept frames (N, H, W)) that should show another pattern than the frame before.
+
+    None if there is no noise, without which patterns that differ elsewhere may look the same.
+    """
+    late = [place for place in copies if plan.shown[place] != plan.shown[place - 1]]
+    if not late:
+        return []
+    noise = measure_noise(plan, sample, saturation_of(plan, frames))
+    brightest = sample.levels.max(axis=0)
+    return late if float(np.median(noise.sigma(brightest))) > _LEAST_NOISE else []
+
+
+def patterns_without(
+    plan: SequencePlan, late: Sequence[int], projector_size: tuple[int, int], *, calibrated: bool
+) -> tuple[list[Pattern | None], Finding]:
+    """Return what each frame is decoded as, None if it is left out, and the finding about the late ones.
+
+    Raises FramesError if the rest determines too little.
+    """
+    numbers = [plan.shown[place] for place in late]
+    is_one = len(late) == 1
+    problem = describe_copies(plan.names(numbers), len(late))
+    kept = [place for place in range(len(plan.shown)) if place not in late]
+    try:
+        rest = usable([plan.patterns[plan.shown[place]] for place in kept], (), projector_size, calibrated=calibrated)
+    except InputError as error:
+        raise FramesError(problem, f"without {'it' if is_one else 'them'}, {error}; take the frames again") from error
+    decoded_as: list[Pattern | None] = [None] * len(plan.shown)
+    for place, pattern in zip(kept, rest.patterns, strict=True):
+        decoded_as[place] = pattern
+    lost = (
+        "what it should show follows from the others" if rest.finding is None else "what needs it is decoded coarsely"
+    )
+    message = f"{capitalised(problem)}. {'It was' if is_one else 'They were'} left out; {lost}."
+    return decoded_as, Finding(LATE_FRAMES, Severity.WARNING, message, LATE_FRAMES.remedy, {"frames": tuple(numbers)})

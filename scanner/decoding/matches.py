@@ -1,0 +1,171 @@
+"""Collect the matches of the kept pixels, and the reasons why the others are masked.
+
+A sequence that varies along one axis leaves the other coordinate to a calibration. The camera ray and the projector's
+stripe plane determine the point: they cross on the pixel's epipolar line. No redundancy is left to check the
+calibration.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.finding import Finding, FindingKind, Severity
+from calib.geometry import Calibration, Matches, cross_epipolar_lines
+from calib.numerics import STRIP_ROWS, Bools, Floats, Floats32, Image, compiled, in_slices
+from scanner.decoding.checks.map_checks import check_maps
+from scanner.decoding.codes.gray_code import CellMatches, average_cells
+from scanner.decoding.coordinates.axis_decoder import EDGE_PX, mask_outside
+from scanner.decoding.coordinates.coordinate_maps import Maps, small_patches
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.patterns import Axis
+
+# At 6° between epipolar line and stripe, calibration errors count ten times.
+_LEAST_SINE = 0.1
+
+ONE_AXIS = FindingKind(
+    "one-axis",
+    "Patterns varied along one axis only; the other coordinate follows from the calibration, which nothing checks.",
+    "Project patterns along the other axis as well to check the calibration.",
+)
+
+
+def one_axis_finding(axis: Axis) -> Finding:
+    """Return the note on the only coordinate that was measured."""
+    message = f"only the {axis} coordinate was measured, so nothing checks whether the calibration fits."
+    return Finding(ONE_AXIS, Severity.NOTE, message)
+
+
+@dataclass(frozen=True)
+class OneAxis:
+    """Two axes, of which a calibration determines one."""
+
+    measured: AxisPlan
+    """By the patterns."""
+    derived: AxisPlan
+    """By the calibration."""
+    calibration: Calibration
+    """Of the rig."""
+
+    @property
+    def _axis(self) -> int:
+        return 0 if self.measured.axis == "x" else 1
+
+    def complete(self, maps: Maps) -> None:
+        """Fill in the other coordinate, and update variances and reasons; in place.
+
+        The variance becomes that along the epipolar line, which determines the uncertainty of a point.
+        """
+
+        def fill(rows: slice) -> None:
+            reason, values, variance = maps.reason[rows], maps.projector_px[rows], maps.variance[rows]
+            row, column = np.nonzero(reason == np.uint8(MaskReason.KEPT))
+            camera_px = np.stack([column, row + rows.start], axis=1).astype(np.float64)
+            known_px = values[row, column, self._axis].astype(np.float64)
+            crossings = cross_epipolar_lines(camera_px, known_px, self._axis, self.calibration)
+            crossing = crossings.projector_px[:, 1 - self._axis]
+            inside = np.abs(crossing - (self.derived.length - 1) / 2) <= self.derived.length / 2 + EDGE_PX
+            conditions = [crossings.sine < _LEAST_SINE, ~(crossings.in_front & inside)]
+            masks = [np.uint8(MaskReason.ALONG_EPIPOLAR_LINE), np.uint8(MaskReason.OUTSIDE)]
+            reason[row, column] = np.select(conditions, masks, np.uint8(MaskReason.KEPT))
+            values[row, column, 1 - self._axis] = crossing
+            variance[row, column] /= np.maximum(crossings.sine, _LEAST_SINE) ** 2
+
+        in_slices(maps.reason.shape[0], STRIP_ROWS, fill)
+
+    def average_stripes(self, kept: Bools, maps: Maps, brightness: Image) -> CellMatches:
+        """Average the pixels as `average_cells` does, with stripes cut into square cells.
+
+        They are cut along the coordinate that was filled in; it is computed again at the centre of each cell's pixels.
+        """
+        cell, cut = np.float32(self.measured.cell), maps.projector_px.copy()
+        along = cut[..., 1 - self._axis]
+        # Noise may have carried a coordinate beyond the first pixel.
+        number = np.maximum(np.floor((along[kept] + np.float32(0.5)) / cell), 0)
+        along[kept] = number * cell + (cell - 1) / 2
+        cells = average_cells(kept, cut, cut, maps.variance, brightness)
+        known_px = cells.projector_px[:, self._axis]
+        crossings = cross_epipolar_lines(cells.camera_px, known_px, self._axis, self.calibration)
+        there = crossings.in_front
+        return CellMatches(cells.camera_px[there], crossings.projector_px[there], cells.variance[there], cells.rejected)
+
+
+def one_axis(plan: SequencePlan, calibration: Calibration | None) -> OneAxis | None:
+    """Return the completion of a sequence that measures one axis; None if it measures both."""
+    if plan.only_axis is None or calibration is None:
+        return None
+    return OneAxis(plan.only_axis, plan.y if plan.only_axis is plan.x else plan.x, calibration)
+
+
+def match_kept(
+    plan: SequencePlan, maps: Maps, white: Image, one_axis: OneAxis | None, cell_px: Floats32 | None
+) -> tuple[Matches, NDArray[np.uint8]]:
+    """Return the matches, and for all pixels (H, W) the mask reason. Raises InputError; overwrites the maps.
+
+    `white`: (H, W) grey. `cell_px`: (H, W, 2) the centre of each pixel's cell, for one match per cell of the codes;
+    None if each pixel has its own coordinate.
+    """
+    reasons = maps.reason
+    # Interpolation between blurred edges, or a motion that was taken back, may carry coordinates beyond the border.
+    for number, axis in enumerate(plan.axes):
+        mask_outside(axis, maps.projector_px.reshape(-1, 2)[:, number], reasons.reshape(-1))
+    if one_axis:
+        # Before the calibration masks pixels, which would be its error rather than the frames'.
+        check_maps(plan, maps, reasons == np.uint8(MaskReason.KEPT))
+        one_axis.complete(maps)
+    kept = reasons == np.uint8(MaskReason.KEPT)
+    if cell_px is None:
+        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
+    else:
+        if one_axis:
+            cells = one_axis.average_stripes(kept, maps, white)
+        else:
+            cells = average_cells(kept, cell_px, maps.projector_px, maps.variance, white)
+        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=cells.rejected)
+    kept = reasons == np.uint8(MaskReason.KEPT)
+    if not one_axis:
+        check_maps(plan, maps, kept)
+    if cell_px is None:
+        return _pixel_matches(kept, maps), reasons
+    return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
+
+
+def _pixel_matches(kept: Bools, maps: Maps) -> Matches:
+    """Return the matches of `kept` pixels (H, W), row by row, in the memory of the maps.
+
+    Single precision is exact for camera pixels, and is the precision of the maps.
+    """
+    count = int(np.count_nonzero(kept))
+    camera_px, projector_px = np.empty((count, 2), np.float32), maps.projector_px.reshape(-1, 2)
+    sigma_px = maps.variance.reshape(-1)
+    with ThreadPoolExecutor(1) as aside:
+        noted = aside.submit(_note_places, kept, camera_px)
+        _gather(kept.reshape(-1), projector_px, sigma_px)
+        noted.result()
+    return Matches(cast(Floats, camera_px), cast(Floats, projector_px[:count]), sigma_px=cast(Floats, sigma_px[:count]))
+
+
+@compiled
+def _note_places(kept: Bools, camera_px: Floats32) -> None:
+    """Write the columns and rows of the kept pixels."""
+    height, width = kept.shape
+    match = 0
+    for row in range(height):
+        for column in range(width):
+            if kept[row, column]:
+                camera_px[match, 0], camera_px[match, 1] = column, row
+                match += 1
+
+
+@compiled
+def _gather(kept: Bools, projector_px: Floats32, variance: Floats32) -> None:
+    """Move the data of the kept pixels (P, …) to the front, with the variance replaced by its square root."""
+    match = 0
+    for pixel in range(len(kept)):
+        if kept[pixel]:
+            projector_px[match, 0], projector_px[match, 1] = projector_px[pixel, 0], projector_px[pixel, 1]
+            variance[match] = np.sqrt(variance[pixel])
+            match += 1
