@@ -41,7 +41,7 @@ from calib.self_calibration import PrincipalPoint, self_calibrate
 from calib.synthetic import RoomOptions, SyntheticRoom, random_room
 
 sys.path.append(str(Path(__file__).parents[1]))
-from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room
+from tests.support.known_rigs import cells_of, disturbed, knowledge_of, true_room
 
 _CENTRE_SIGMA_PX, _SQUARENESS_DEG = 50.0, 0.3
 _WEAK = 3e-3  # metres: stations with a larger sigma in some direction are counted separately

@@ -24,7 +24,7 @@ from calib.rooms import RigPrior, RoomEstimate, estimate_room
 from calib.synthetic import RoomOptions, random_furnished_room, random_room, ring, seen_from
 
 sys.path.append(str(Path(__file__).parents[1]))
-from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room
+from tests.support.known_rigs import cells_of, disturbed, knowledge_of, true_room
 
 
 def registered(number: int, seed: int) -> tuple[float, int, int]:

@@ -34,7 +34,7 @@ from scanner.live import Watcher
 from scanner.networks import PairProgress
 from scanner.results import Scan
 from tests.support.places import ROOT
-from tests.support.small_room import CONFIG
+from tests.support.small_capture import CONFIG
 
 _SETTLING = 5  # rounds in which caches fill
 _MOST_MB = 20.0  # that the memory may drift by, by a line through all later rounds

@@ -87,7 +87,7 @@ def _kinds_in(module: Path) -> Iterator[DeclaredKind]:
             words = [_literal(argument, texts) for argument in node.args]
             named = {str(each.arg): _literal(each.value, texts) for each in node.keywords}
             yield DeclaredKind(path, *words, **named)
-        elif path != "scanner/results/stated_verdict.py":  # which reads kinds of any version
+        elif path != "scanner/results/verdict.py":  # which reads kinds of any version
             raise ValueError(f"{path}:{node.lineno}: expected NAME = FindingKind(...) at the top of the module")
 
 

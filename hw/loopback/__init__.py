@@ -15,5 +15,5 @@ from hw.loopback.launcher import (
     shown_on,
     virtual_screen,
 )
-from hw.loopback.mjpeg_server import MjpegServer
 from hw.loopback.settings import Conditions, LoopbackSettings, WebcamSettings
+from hw.loopback.webcam import MjpegServer

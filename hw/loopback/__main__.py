@@ -15,10 +15,9 @@ from pathlib import Path
 from hw.errors import DeviceError
 from hw.loopback.camera import LoopbackCamera
 from hw.loopback.exposure import LitRoom, RoomSensor
-from hw.loopback.mjpeg_server import MjpegServer
 from hw.loopback.screen import ScreenHistory, SeveralScreens, XwdScreen
 from hw.loopback.settings import Conditions, LoopbackSettings
-from hw.loopback.webcam import Webcam
+from hw.loopback.webcam import MjpegServer, Webcam
 
 _ALBUM_BYTES = 1e8
 _PUNCTUAL_S = 0.0005  # rendering must not delay an exposure

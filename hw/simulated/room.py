@@ -11,10 +11,9 @@ from hw.errors import DeviceError
 from hw.settings import SimulatedRigSettings
 from hw.simulated.device import PlacedDevice
 from hw.simulated.furniture import draw_corner_box, draw_furniture, draw_second_sphere, overlap
-from hw.simulated.placement import RigGeometry, draw_camera_pose, draw_rig, zoomed
+from hw.simulated.placement import RigGeometry, draw_camera_pose, draw_rig, look, zoomed
 from hw.simulated.scene import Label, Scene
 from hw.simulated.shapes import Ball, Block
-from hw.simulated.view import look
 from hw.simulated.whole_room import WholeRoom, draw_whole_room
 
 _ATTEMPTS = 3000

@@ -11,10 +11,9 @@ from hw.errors import DeviceError
 from hw.settings import SimulatedRigSettings
 from hw.simulated.device import PlacedDevice
 from hw.simulated.furniture import EMBEDDED_M, box, draw_second_sphere, overlap
-from hw.simulated.placement import SHORT_THROW, RigGeometry, draw_rig, look_at
+from hw.simulated.placement import SHORT_THROW, RigGeometry, draw_rig, lit_and_visible, look_at, seen
 from hw.simulated.scene import Scene
 from hw.simulated.shapes import Ball, Block
-from hw.simulated.view import lit_and_visible, seen
 
 _STREAM = 200  # stream of random numbers; a single corner uses others
 _OUTSIDE_M = 0.03  # linings extend this far beyond the room, so that no light passes through a gap

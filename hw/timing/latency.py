@@ -14,7 +14,7 @@ from hw.errors import DeviceError, FrameLostError
 from hw.rig import Frames
 from hw.timing.camera_group import CameraGroup
 from hw.timing.devices import ATTEMPTS, BufferedProjector, Swap
-from hw.timing.resting import RestingLight
+from hw.timing.verification import RestingLight
 
 LONGEST_LATENCY_S = 0.3
 _RESTING_FRAMES = 3

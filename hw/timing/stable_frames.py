@@ -6,9 +6,9 @@
     frames                  ▏…    ▏…    ▏1    ▏1: the mean of both
 
 A picture is stable when successive frames are alike, band by band, without a share of the previous picture
-(`stability.py`). Pipelined, each picture stays as long as the calibration says that the required number of complete
-frames takes; they must not contain the next picture, either. Where two pictures look alike, such as stripes finer
-than a camera pixel, a picture counts as stable some time after its light should have arrived.
+(`stream_calibration.py`). Pipelined, each picture stays as long as the calibration says that the required number of
+complete frames takes; they must not contain the next picture, either. Where two pictures look alike, such as stripes
+finer than a camera pixel, a picture counts as stable some time after its light should have arrived.
 """
 
 import time
@@ -24,9 +24,8 @@ from hw.errors import DeviceError
 from hw.rig import Frame
 from hw.timing.devices import FlippingProjector, StreamingCamera
 from hw.timing.frame_reader import Arrival
-from hw.timing.resting import RestingLight
-from hw.timing.stability import stability_test
-from hw.timing.stream_calibration import StreamTiming, frozen
+from hw.timing.stream_calibration import StreamTiming, frozen, stability_test
+from hw.timing.verification import RestingLight
 
 _PATIENCE_S = 5.0  # automatic exposure settles in one or two
 _PATIENCE_FRAMES = 60  # a busy computer receives few frames in that time

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from calib.numerics import Image
 from hw.rig import Frames, Redundancy
 from hw.timing.devices import FlippingProjector, StreamingCamera
-from hw.timing.resting import RestingLight
 from hw.timing.stream_calibration import StreamTiming, calibrate_stream
 from hw.timing.streaming import StreamAcquisition
 from hw.timing.timed_rig import TimedRig
+from hw.timing.verification import RestingLight
 
 
 @dataclass(eq=False, kw_only=True)

@@ -15,14 +15,12 @@ import numpy as np
 from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import NO_REDUNDANCY, Frame, Redundancy, exposure_control
-from hw.timing.automatics import Appearance, appearance, changes, is_another_view, reference_picture
 from hw.timing.devices import ATTEMPTS, FlippingProjector, StreamingCamera
 from hw.timing.parity_check import with_parity
-from hw.timing.resting import RestingLight
 from hw.timing.stable_frames import StableFrames
 from hw.timing.stream_calibration import StreamTiming
-from hw.timing.timed_rig import Tally
-from hw.timing.verification import FrameVerification, Group, NumberedPictures
+from hw.timing.timed_rig import Appearance, Tally, appearance, changes, is_another_view, reference_picture
+from hw.timing.verification import FrameVerification, Group, NumberedPictures, RestingLight
 
 log = logging.getLogger(__name__)
 

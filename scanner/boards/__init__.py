@@ -7,9 +7,8 @@ from scanner.boards.calibrate import (
     find_board,
     read_folders,
 )
-from scanner.boards.drawing import draw_target
 from scanner.boards.live import capture_boards, check_live
 from scanner.boards.page import verdict_on
-from scanner.boards.printing import printed_target, write_pdf
+from scanner.boards.printing import draw_target, printed_target, write_pdf
 from scanner.boards.result import save_result, summary
 from scanner.targets import KINDS, Target, parse_target

@@ -1,8 +1,18 @@
 """Files of each format, read and written whole or not at all. Knows nothing of scans."""
 
-from scanner.io.atomic_file import new_file, new_files, refuse_existing
+from scanner.io.atomic_file import (
+    exchange,
+    missing_folders,
+    new_file,
+    new_files,
+    refuse_existing,
+    remove_empty,
+    require_space,
+    sync,
+    sync_open,
+    sync_tree,
+)
 from scanner.io.calibration_file import parse_calibration, read_calibration, write_calibration
-from scanner.io.durable import exchange, missing_folders, remove_empty, require_space, sync, sync_open, sync_tree
 from scanner.io.free_memory import free_bytes, require_memory, total_bytes
 from scanner.io.given_file import (
     LONGEST_SIDE_PX,
@@ -26,10 +36,19 @@ from scanner.io.matches_file import (
     refuse_one_axis,
     write_matches,
 )
-from scanner.io.network_file import StoredDevice, StoredNetwork, read_network
 from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply, write_room_ply
 from scanner.io.png import PngFile, PngRows, png_of, write_png
-from scanner.io.room_file import StoredRoom, StoredStation, read_poses, read_room, write_poses, write_room
+from scanner.io.room_file import (
+    StoredDevice,
+    StoredNetwork,
+    StoredRoom,
+    StoredStation,
+    read_network,
+    read_poses,
+    read_room,
+    write_poses,
+    write_room,
+)
 from scanner.io.row_file import RowFile, by_rows, in_rows, scratch_rows, tiff_rows
 from scanner.io.validation import (
     LONGEST_M,

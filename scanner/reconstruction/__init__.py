@@ -4,11 +4,9 @@ from scanner.reconstruction.calibrate import calibrate, label, refuse_few, refus
 from scanner.reconstruction.earlier_captures import read_captures
 from scanner.reconstruction.face_masks import label_by_masks, read_masks
 from scanner.reconstruction.guidance import Guidance, guide
-from scanner.reconstruction.known_calibrations import is_calibration
-from scanner.reconstruction.lens_priors import lenses_by_name, lenses_of
 from scanner.reconstruction.merge_clouds import brightness, consistency, merge
-from scanner.reconstruction.metric_scale import scaled
+from scanner.reconstruction.metric_scale import scaled, scaled_by_sheet
 from scanner.reconstruction.moved_captures import shifts_of
+from scanner.reconstruction.priors import is_calibration, lenses_by_name, lenses_of
 from scanner.reconstruction.save import EarlyMatches, refusal_saved, save, set_aside
-from scanner.reconstruction.sheet_scale import scaled_by_sheet
 from scanner.reconstruction.triangulate import refuse_foreign, refuse_misfit, triangulate

@@ -14,11 +14,9 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.reconstruction.face_masks import label_by_masks, without_margins
 from scanner.reconstruction.keystone import on_panel
-from scanner.reconstruction.known_calibrations import is_calibration, read_known
-from scanner.reconstruction.lens_priors import lenses_of
-from scanner.reconstruction.metric_scale import scaled
+from scanner.reconstruction.metric_scale import scaled, scaled_by_sheet
 from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_motion_findings
-from scanner.reconstruction.sheet_scale import scaled_by_sheet
+from scanner.reconstruction.priors import is_calibration, lenses_of, read_known
 from scanner.results import Decoded, SelfCalibrated, Stage, naming
 
 _FEWEST_FOR_A_HOMOGRAPHY = 4

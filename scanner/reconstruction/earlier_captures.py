@@ -13,7 +13,7 @@ from scanner.decoding import smooth_error_px
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_matches, read_only_axis, read_planes, refuse_one_axis
 from scanner.patterns import Phase
-from scanner.reconstruction.known_calibrations import is_calibration, read_known
+from scanner.reconstruction.priors import is_calibration, read_known
 from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, GivenMatches
 
 # Undistorted or extrapolated pixels may lie slightly outside the image.

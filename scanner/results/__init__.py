@@ -64,6 +64,16 @@ from scanner.results.stated_uncertainty import (
     covariance_entries,
     read_uncertainty,
 )
-from scanner.results.stated_verdict import finding_entries, read_verdict, verdict_entries, verdict_of, write_refusal
 from scanner.results.unfinished import Claim, FolderState
-from scanner.results.verdict import DECISIVE, MEASUREMENT_GRADE, SIGNS, Grade, Verdict
+from scanner.results.verdict import (
+    DECISIVE,
+    MEASUREMENT_GRADE,
+    SIGNS,
+    Grade,
+    Verdict,
+    finding_entries,
+    read_verdict,
+    verdict_entries,
+    verdict_of,
+    write_refusal,
+)

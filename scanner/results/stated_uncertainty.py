@@ -12,8 +12,7 @@ from calib.numerics import Floats
 from calib.refinement import ROTATION, SHARED, TRANSLATION, State, device_of
 from scanner.errors import InputError
 from scanner.io import Entry, Number, read_yaml, validate
-from scanner.results.stated_verdict import verdict_entries
-from scanner.results.verdict import Verdict
+from scanner.results.verdict import Verdict, verdict_entries
 
 _OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2", "p1", "p2", "k3")
 COLUMNS = (

@@ -1,4 +1,4 @@
-"""A process with little memory left."""
+"""A process with little memory left, or with a full disk."""
 
 import resource
 from collections.abc import Iterator
@@ -18,3 +18,14 @@ def little_memory() -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@contextmanager
+def no_file_larger_than(size: int) -> Iterator[None]:
+    """Within the context, no file can be larger than this."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -1,11 +1,26 @@
-"""Ground truth of a synthetic capture, as a state and as cells of the refinement."""
+"""Numerical derivatives, and the ground truth of a synthetic capture as a state and as cells of the refinement."""
+
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
 from calib.refinement import Cells, PlacedCorner, State
+from calib.rooms import Room
 from calib.synthetic import SyntheticCapture
+
+
+def gradient_of(
+    function: Callable[[Room], Floats], room: Room, columns: Iterable[int] | None = None, step: float = 1e-6
+) -> Floats:
+    """Gradient of a function of rooms by some or all of the room's columns, (…, columns)."""
+    slopes = []
+    for column in range(room.size) if columns is None else columns:
+        way = np.zeros(room.size)
+        way[column] = step
+        slopes.append((np.asarray(function(room.moved(way))) - function(room.moved(-way))) / (2 * step))
+    return np.stack(slopes, axis=-1)
 
 
 def device_of(intrinsics: Intrinsics) -> Floats:

@@ -21,8 +21,7 @@ from scanner.io import read_calibration, read_matches, read_yaml, write_matches,
 from scanner.quantities import intrinsic_errors_percent
 from scanner.results import read_finished_scan
 from tests.support.command_line import names, run
-from tests.support.small_capture import read_listing, write_listing
-from tests.support.small_room import with_few_rays
+from tests.support.small_capture import read_listing, with_few_rays, write_listing
 
 CONFIG = """
 rig: {backend: simulated, seed: 0, furniture: false}

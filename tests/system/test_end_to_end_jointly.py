@@ -11,7 +11,7 @@ from scanner.io import read_calibration, read_cloud, read_matches
 from scanner.quantities import intrinsic_errors_percent
 from scanner.results import read_finished_scan
 from tests.support.command_line import names, run
-from tests.support.small_room import with_few_rays
+from tests.support.small_capture import with_few_rays
 
 CONFIG = """
 rig: {backend: simulated, seed: 0}

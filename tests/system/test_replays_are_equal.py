@@ -8,7 +8,7 @@ import pytest
 
 from calib.numerics import processors, use_processors
 from scanner.commands import main
-from tests.support.small_room import CONFIG, with_few_rays
+from tests.support.small_capture import CONFIG, with_few_rays
 
 NUMBERS = ("cloud.ply", "matches.npz", "calibration.yaml")
 _OF_A_RUN = re.compile(rb"^ +(?:date|name|command): .*\n", re.M)

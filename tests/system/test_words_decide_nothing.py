@@ -21,11 +21,11 @@ from scanner.io import write_matches, write_png
 from scanner.patterns import draw
 from scanner.reporting import ReportInput, verdict
 from scanner.results import GivenCalibration, Reconstructed, SelfCalibrated, read_verdict
-from tests.support import small_room
+from tests.support import small_capture
 from tests.support.cloud_scene import room
 from tests.support.command_line import run
 from tests.support.findings import Decision, decided_alike, scramble_words
-from tests.support.reports import calibrated_report, refused_report
+from tests.support.result_folder import calibrated_report, refused_report
 from tests.support.small_capture import PATTERNS, SIZE, read_listing, write_capture, write_listing
 
 CONFIG = """
@@ -164,7 +164,7 @@ def in_the_dark(folder: Path) -> list[object]:
 
 def simulated(folder: Path) -> list[object]:
     """A scan of a simulated room."""
-    (folder / "room.yaml").write_text(small_room.CONFIG)
+    (folder / "room.yaml").write_text(small_capture.CONFIG)
     return ["--config", folder / "room.yaml"]
 
 
@@ -200,7 +200,7 @@ def broken_off(folder: Path) -> list[object]:
 def test_exit_code_and_files_are_not_in_the_words(
     made: Callable[[Path], list[object]], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    small_room.with_few_rays(monkeypatch)
+    small_capture.with_few_rays(monkeypatch)
     arguments = made(tmp_path)
     outcome = run(*arguments, "--out", tmp_path / "told", "--quiet"), results_in(tmp_path / "told")
     assert outcome[0] == code

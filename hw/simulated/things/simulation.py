@@ -15,9 +15,9 @@ from hw.simulated.illumination import SPILL_PX
 from hw.simulated.picture import PictureOptics
 from hw.simulated.placement import look_at, resized
 from hw.simulated.sensor import Sensor, build_sensor
+from hw.simulated.simulation import calibration_between
 from hw.simulated.things.solids import Solid, draw_solid
 from hw.simulated.things.stage import Hits, TurntableScene, pose_of, reflected
-from hw.simulated.truth import calibration_between
 
 _STREAM = 300  # stream of random numbers; rooms use others
 _CAMERA, _PROJECTOR = Optics(1224, 1024, 2100.0, (618.0, 508.0)), Optics(854, 480, 1500.0, (431.0, 243.0))

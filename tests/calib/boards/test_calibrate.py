@@ -10,7 +10,7 @@ from calib.boards import Board, BoardCalibration, BoardView, best_next_pose, cal
 from calib.geometry import Calibration
 from calib.refusal import RefusalError
 from calib.synthetic import SyntheticBoards, random_boards
-from tests.support.boards import views_of
+from tests.support.board_captures import views_of
 
 pytestmark = pytest.mark.xdist_group("board calibration")  # what the module shares is made once
 

@@ -14,7 +14,7 @@ from calib.boards.likelihood import BoardVariances, Prior, device_prior
 from calib.boards.parameters import State
 from calib.boards.starts import rough_levels, starts
 from calib.synthetic import SyntheticBoards, random_boards
-from tests.support.boards import views_of
+from tests.support.board_captures import views_of
 
 _FOCALS = [0, 9]
 WAVE_PX = 0.1

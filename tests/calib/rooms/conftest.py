@@ -9,7 +9,7 @@ import pytest
 from calib.refinement import Cells, Knowledge
 from calib.rooms import RigPrior, Room, RoomEstimate, estimate_room
 from calib.synthetic import SyntheticRoom, random_room
-from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room
+from tests.support.known_rigs import cells_of, disturbed, knowledge_of, true_room
 
 STATIONS = 6
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.rooms import changed_extrinsics
 from tests.calib.rooms.conftest import Case
-from tests.support.rooms import cells_of
+from tests.support.known_rigs import cells_of
 
 
 def turned(case: Case, station: int, turn_deg: tuple[float, float, float]) -> Case:

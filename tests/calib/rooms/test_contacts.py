@@ -5,7 +5,7 @@ from calib.geometry import Matches
 from calib.rooms import RoomEstimate
 from calib.rooms.factors import Contact, find_contacts
 from tests.calib.rooms.conftest import Case, case_of
-from tests.support.numeric import gradient_of
+from tests.support.states import gradient_of
 
 NOISE_PX = 0.05
 

@@ -9,7 +9,7 @@ from calib.numerics import Floats
 from calib.rooms import Room, RoomEstimate, lengths
 from calib.rooms.lengths import Measured, RoomPoint
 from tests.calib.rooms.conftest import Case
-from tests.support.numeric import gradient_of
+from tests.support.states import gradient_of
 
 
 def at(found: RoomEstimate, room: Room) -> RoomEstimate:

@@ -7,7 +7,7 @@ from calib.rooms import RigPrior, Room
 from calib.rooms.factors import patches_of
 from calib.rooms.priors import RoomPrior
 from tests.calib.rooms.conftest import Case
-from tests.support.numeric import gradient_of
+from tests.support.states import gradient_of
 
 REACH = 7.0
 

@@ -6,7 +6,7 @@ from calib.numerics import Floats
 from calib.refinement import SHARED
 from calib.rooms import Room
 from tests.calib.rooms.conftest import Case
-from tests.support.numeric import gradient_of
+from tests.support.states import gradient_of
 
 SMALL = 1e-3
 

@@ -13,7 +13,7 @@ from calib.rooms.factors import Track
 from calib.rooms.point_tracking import find_tracks
 from calib.synthetic import CloudErrors, Paint, random_furnished_room, ring, seen_from
 from tests.calib.registration.test_register import CAMERA
-from tests.support.numeric import gradient_of
+from tests.support.states import gradient_of
 
 Scene = tuple[Room, list[LabelledPicture], list[tuple[int, ...]]]
 

@@ -12,7 +12,7 @@ from hw.loopback.exposure import MONO_8, MONO_16, RGB_8, ExposureRequest, RoomSe
 from hw.loopback.screen import ScreenHistory
 from hw.settings import SimulatedRigSettings
 from hw.simulated import Sensor
-from tests.support.fake_screen import SIZE, FakeScreen, as_light
+from tests.support.simulated_window import SIZE, FakeScreen, as_light
 
 
 class WhiteWall:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hw.loopback.screen import ScreenHistory, XwdScreen, green
-from tests.support.fake_screen import FakeScreen, as_light
+from tests.support.simulated_window import FakeScreen, as_light
 
 
 def xwd(path: Path, pixels: np.ndarray, colours: int = 3, padding: int = 8) -> Path:

@@ -7,7 +7,7 @@ import pytest
 
 from hw.loopback import Conditions
 from hw.loopback.wall import Wall
-from tests.support.fake_screen import SIZE
+from tests.support.simulated_window import SIZE
 
 
 def done(level: int) -> Future[np.ndarray]:

@@ -11,8 +11,7 @@ from hw.simulated.picture import PictureOptics
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.room import DrawnRoom, draw_room
 from hw.simulated.sensor import responded
-from hw.simulated.simulation import SimulatedRoom
-from hw.simulated.truth import true_calibration
+from hw.simulated.simulation import SimulatedRoom, true_calibration
 
 pytestmark = pytest.mark.xdist_group("simulated_room")
 

@@ -11,8 +11,7 @@ from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.room import _corner
 from hw.simulated.scene import Label
 from hw.simulated.sensor import build_sensor
-from hw.simulated.simulation import SimulatedRoom
-from hw.simulated.truth import GroundTruth
+from hw.simulated.simulation import GroundTruth, SimulatedRoom
 
 pytestmark = pytest.mark.xdist_group("simulated_room")
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from hw.settings import SimulatedRigSettings
+from hw.simulated.placement import look
 from hw.simulated.room import DrawnRoom, _corner, draw_room, draw_walls
 from hw.simulated.scene import Label
 from hw.simulated.shapes import Block
-from hw.simulated.truth import true_calibration
-from hw.simulated.view import look
+from hw.simulated.simulation import true_calibration
 
 SEEDS = range(10)
 

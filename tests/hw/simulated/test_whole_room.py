@@ -8,8 +8,8 @@ import pytest
 from hw.errors import DeviceError
 from hw.open_rig import at_place
 from hw.settings import SimulatedRigSettings
+from hw.simulated.placement import lit_and_visible, seen
 from hw.simulated.room import draw_room
-from hw.simulated.view import lit_and_visible, seen
 from tests.support.whole_room import stations
 
 ROOM = {"room": "whole", "walls_off_deg": 0.3, "furniture_askew_deg": 4.0}

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from calib.numerics import Image
-from hw.timing.resting import RestingLight
-from hw.timing.stability import StabilityTest, stability_test
+from hw.timing.stream_calibration import StabilityTest, stability_test
+from hw.timing.verification import RestingLight
 
 SIZE, BLOCK = (320, 240), 8
 RNG = np.random.default_rng(3)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from scanner.commands import main
-from tests.support.small_room import CONFIG
+from tests.support.small_capture import CONFIG
 
 
 @pytest.fixture(scope="session")

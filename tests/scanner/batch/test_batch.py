@@ -26,7 +26,7 @@ from scanner.errors import StorageError
 from scanner.io import read_calibration
 from scanner.ui import Terminal, failure_of
 from tests.support.deadly_work import deadly_work
-from tests.support.full_disk import no_file_larger_than
+from tests.support.little_memory import no_file_larger_than
 from tests.support.places import ROOT
 
 pytestmark = pytest.mark.xdist_group("batch")

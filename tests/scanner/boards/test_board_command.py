@@ -18,8 +18,8 @@ from scanner.errors import StorageError
 from scanner.io import read_calibration
 from scanner.results import new_result, read_verdict
 from scanner.targets import Target
-from tests.support.boards import views_of
-from tests.support.full_disk import no_file_larger_than
+from tests.support.board_captures import views_of
+from tests.support.little_memory import no_file_larger_than
 from tests.support.places import REAL_CAPTURES
 
 BOARDS = REAL_CAPTURES / "procam-calibration"

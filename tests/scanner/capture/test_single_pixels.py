@@ -7,7 +7,7 @@ import pytest
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedRoom
 from scanner.capture import CHANGED_SHAPE, findings_on_lines, known_of_lines, measure_lines, shows_single_pixels
-from tests.support.check_bench import changed, rig_in
+from tests.support.rig_bench import changed, rig_in
 
 pytestmark = pytest.mark.xdist_group("single pixels")  # the rooms are made once
 SIZES = ((204, 160), (214, 120)), ((408, 320), (428, 240))

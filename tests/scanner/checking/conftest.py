@@ -7,7 +7,7 @@ from hw.simulated import SimulatedRoom
 from scanner.checking.check import check_rig
 from scanner.checking.report import CheckReport, CheckRow
 from scanner.ui import Terminal
-from tests.support.check_bench import CAMERA, PERIOD_US, PROJECTOR, changed, config, rig_in
+from tests.support.rig_bench import CAMERA, PERIOD_US, PROJECTOR, changed, config, rig_in
 
 
 @pytest.fixture(scope="session")

@@ -21,8 +21,8 @@ from scanner.commands import check as command
 from scanner.commands import main
 from scanner.configuration import load_config
 from scanner.ui import Terminal
-from tests.support.check_bench import OVERRIDES, PERIOD_US, changed, rig_in
 from tests.support.findings import FOR_TESTS
+from tests.support.rig_bench import OVERRIDES, PERIOD_US, changed, rig_in
 
 pytestmark = pytest.mark.xdist_group("checking")  # what the module shares is made once
 

@@ -30,7 +30,7 @@ from scanner.pipeline import decode
 from scanner.quantities import relative_focal_sigmas
 from scanner.reconstruction import label, solve
 from scanner.ui import Terminal
-from tests.support.check_bench import PERIOD_US, PROJECTOR, changed, config, rig_in, row
+from tests.support.rig_bench import PERIOD_US, PROJECTOR, changed, config, rig_in, row
 
 pytestmark = pytest.mark.xdist_group("checking")
 

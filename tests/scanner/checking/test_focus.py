@@ -13,7 +13,7 @@ from scanner.checking.focus_row import amplitude_left, finest_period_px, focus_r
 from scanner.checking.report import CheckState
 from scanner.patterns import sequence_for
 from scanner.ui import Terminal
-from tests.support.check_bench import PERIOD_US, changed, config, rig_in, row
+from tests.support.rig_bench import PERIOD_US, changed, config, rig_in, row
 
 pytestmark = pytest.mark.xdist_group("checking")
 

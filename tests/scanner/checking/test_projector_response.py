@@ -13,7 +13,7 @@ from scanner.checking.light import photograph_light
 from scanner.checking.response import measure_ramp
 from scanner.decoding import Decoder
 from scanner.patterns import PRESETS, Phase, ProjectorResponse, draw
-from tests.support.check_bench import PROJECTOR, changed, rig_in
+from tests.support.rig_bench import PROJECTOR, changed, rig_in
 
 QUICK = PRESETS["quick"].patterns(PROJECTOR)
 PERIOD_PX = PRESETS["quick"].periods[0]

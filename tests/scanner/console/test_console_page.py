@@ -15,7 +15,7 @@ from scanner.configuration import load_config
 from scanner.io import read_calibration
 from tests.support.browsing import PATIENCE_MS, Served, Visit, visiting
 from tests.support.notebook import until as until_within
-from tests.support.small_room import CONFIG
+from tests.support.small_capture import CONFIG
 
 pytestmark = pytest.mark.xdist_group("browser")
 

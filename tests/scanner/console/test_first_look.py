@@ -13,7 +13,7 @@ from scanner.results import CLOUD_FILE, Scan
 from scanner.viewing import ViewedCloud, preview_scan
 from scanner.viewing import first_look as module
 from tests.support.notebook import Notebook, until
-from tests.support.small_room import CONFIG
+from tests.support.small_capture import CONFIG
 
 
 @pytest.fixture

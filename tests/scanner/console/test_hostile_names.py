@@ -18,7 +18,7 @@ from scanner.results import LOG_FILE
 from scanner.viewing import escaped
 from tests.support.browsing import Served, Visit, visiting
 from tests.support.result_folder import write_result
-from tests.support.small_room import CONFIG
+from tests.support.small_capture import CONFIG
 
 pytestmark = pytest.mark.xdist_group("browser")
 

@@ -11,7 +11,7 @@ from scanner.configuration import load_config
 from scanner.io import read_matches, write_calibration
 from tests.support.browsing import PATIENCE_MS, Served, Visit, visiting
 from tests.support.notebook import until
-from tests.support.small_room import CONFIG
+from tests.support.small_capture import CONFIG
 
 pytestmark = pytest.mark.xdist_group("browser")
 

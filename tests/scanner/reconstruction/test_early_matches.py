@@ -12,7 +12,7 @@ from scanner.io import MATCHES_FILE, read_matches
 from scanner.reconstruction import EarlyMatches
 from scanner.results import Decoded
 from tests.support.cloud_scene import room
-from tests.support.reports import calibrated_report
+from tests.support.result_folder import calibrated_report
 
 
 @pytest.fixture(scope="module")

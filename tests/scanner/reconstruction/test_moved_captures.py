@@ -11,7 +11,7 @@ from scanner.decoding.motion import CoordinateShift, MotionEstimate
 from scanner.reconstruction.moved_captures import refuse_costly, with_motion_findings
 from scanner.results import Decoded, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import room
-from tests.support.reports import SIZES, calibrated_report
+from tests.support.result_folder import SIZES, calibrated_report
 
 SHIFT = CoordinateShift(np.zeros((2, 8)), *((size.width, size.height) for size in SIZES))
 PROJECTOR = np.array([0.3, 0, 0, 0, 0, 0, 0, 0])

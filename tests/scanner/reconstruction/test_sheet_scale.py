@@ -13,7 +13,7 @@ from scanner.capture import CaptureMetadata
 from scanner.configuration import CharucoSettings, ScaleSettings
 from scanner.errors import InputError
 from scanner.reconstruction import scaled
-from scanner.reconstruction.sheet_scale import scaled_by_sheet
+from scanner.reconstruction.metric_scale import scaled_by_sheet
 from scanner.results import Decoded, GivenMatches
 
 pytestmark = pytest.mark.xdist_group("sheet scale")  # what the module shares is made once

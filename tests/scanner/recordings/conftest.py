@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from filming.camera import Camera
 
-from tests.support.filmed_room import BIT_RATE, FilmedRoom
+from tests.support.room import BIT_RATE, FilmedRoom
 
 
 @pytest.fixture(scope="session")

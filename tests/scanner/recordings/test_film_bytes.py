@@ -19,7 +19,7 @@ from scanner.recordings import film_bytes
 from scanner.recordings.film_bytes import opened_film
 from scanner.recordings.video_file import open_video
 from tests.support.command_line import run
-from tests.support.filmed_room import FilmedRoom
+from tests.support.room import FilmedRoom
 
 FRAMES = 24
 TICKS = 90_000  # to a second

@@ -11,7 +11,7 @@ from filming.camera import Camera
 from scanner.capture import open_capture
 from scanner.decoding import Decoder
 from tests.support.command_line import run
-from tests.support.filmed_room import BIT_RATE, CAMERA, PROJECTOR, FilmedRoom
+from tests.support.room import BIT_RATE, CAMERA, PROJECTOR, FilmedRoom
 
 pytestmark = pytest.mark.xdist_group("recordings")
 

@@ -15,7 +15,7 @@ from scanner.patterns import PRESETS, write_sequence
 from scanner.recordings.libav import av as library
 from scanner.recordings.programme import WHITE, programme_of
 from tests.support.command_line import run
-from tests.support.filmed_room import PROJECTOR, FilmedRoom
+from tests.support.room import PROJECTOR, FilmedRoom
 
 pytestmark = pytest.mark.xdist_group("recordings")
 

@@ -6,7 +6,7 @@ import pytest
 
 from scanner.reporting.flatness import flatness
 from tests.support.cloud_scene import room
-from tests.support.reports import calibrated_report
+from tests.support.result_folder import calibrated_report
 
 NUMBER = r"\d+(\.\d+)?"
 

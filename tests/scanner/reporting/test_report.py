@@ -22,7 +22,7 @@ from scanner.reporting.sections import describe_patterns, faces, mask
 from scanner.reporting.verdict import verdict
 from scanner.results import Decoded, GivenCalibration, GivenMatches, Provenance, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import Scene, room
-from tests.support.reports import SIZES, calibrated_report, decoding_of, refused_report
+from tests.support.result_folder import SIZES, calibrated_report, decoding_of, refused_report
 
 VOID = {"meta", "img", "br", "hr", "input", "link"}
 

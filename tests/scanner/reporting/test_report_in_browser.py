@@ -10,7 +10,7 @@ from scanner.reporting.contents import ReportInput
 from scanner.reporting.page import write_report
 from scanner.results import Refused
 from tests.support.cloud_scene import room
-from tests.support.reports import calibrated_report, refused_report
+from tests.support.result_folder import calibrated_report, refused_report
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

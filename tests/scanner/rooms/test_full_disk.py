@@ -10,7 +10,7 @@ from scanner.results import new_result
 from scanner.rooms.save import save_room
 from scanner.ui import Terminal
 from tests.scanner.rooms.conftest import SolvedExample
-from tests.support.full_disk import no_file_larger_than
+from tests.support.little_memory import no_file_larger_than
 
 
 def test_a_full_disk_leaves_no_incomplete_room(example: SolvedExample, tmp_path: Path) -> None:

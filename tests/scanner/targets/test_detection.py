@@ -6,7 +6,7 @@ import pytest
 from scanner.errors import InputError
 from scanner.targets.detection import NotFoundError, detect, on_board
 from scanner.targets.target import Target, parse_target
-from tests.support.boards import photographed
+from tests.support.board_captures import photographed
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 from rich.table import Table
 
-from scanner.ui.fitting import fitted, wrapped
+from scanner.ui.terminal import fitted, wrapped
 
 _QUANTITIES = ["± 0.030 %", "1 to 3 %", "0.4 mm", "90.1 ± 0.2 °", "× 4", "−0.04 %", "1.5 px", "12 ± 3 µm"]
 _WORDS = ["length", "the", "known", "is", "corner.squareness_deg", "sigmas"]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.numerics import Image
-from scanner.decoding.decoder import Decoder, Decoding
+from scanner.decoding import Decoder, Decoding
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Black, Gray, Pattern, White, draw, gray_sequence
 

@@ -1,4 +1,4 @@
-"""A single fringe over the whole picture: nothing checks it, and its sigma covers the error for any response."""
+"""Phases that a response bends are straightened, and a fringe that nothing checks has a sigma that covers its error."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanner.decoding import Fringe
-from scanner.decoding.fringes.single_fringe import FringeSample, Response, response_of
+from scanner.decoding.fringes.single_fringe import TABLE_LENGTH, FringeSample, Response, response_of, straightening
 from scanner.patterns import Pattern, phase_sequence
 from tests.support.findings import kinds_of, the_only
 from tests.support.synthetic_capture import Scene
@@ -70,3 +70,24 @@ def test_too_few_pixels_give_the_prior() -> None:
     assert 1.5 < found.exponent < 2.0
     assert 0.7 < found.sigma < 0.9
     assert 0.1 < np.abs(found.residual(fringe)).max() < 0.3
+
+
+@pytest.mark.parametrize(("steps", "gamma"), [(3, 1.6), (3, 2.2), (4, 1.6), (4, 3.0)])
+def test_a_bent_phase_is_straightened(steps: int, gamma: float) -> None:
+    fringe = Fringe("x", 16.0, tuple(0.1 + k / steps for k in range(steps)), tuple(range(steps)))
+    truth = np.random.default_rng(1).uniform(0, 2 * np.pi, 40_000)
+    light = (0.5 + 0.5 * np.cos(truth + 2 * np.pi * np.array(fringe.shifts)[:, None])) ** gamma
+    _, cosine, sine = fringe.weights @ light
+    measured = np.mod(np.arctan2(sine, cosine), 2 * np.pi).astype(np.float32)
+    table = straightening(fringe, [measured])
+    assert table is not None
+    straight = measured + table[(measured * TABLE_LENGTH / (2 * np.pi)).astype(int) % TABLE_LENGTH]
+    before, after = (np.std(np.angle(np.exp(1j * (phase - truth)))) for phase in (measured, straight))
+    assert 1e-5 < after < before / 5
+    assert after < 0.01
+
+
+def test_a_straight_phase_is_left_alone() -> None:
+    fringe = Fringe("x", 16.0, (0.0, 1 / 3, 2 / 3), (0, 1, 2))
+    measured = np.random.default_rng(1).uniform(0, 2 * np.pi, 20_000).astype(np.float32)
+    assert straightening(fringe, [measured]) is None

@@ -1,4 +1,4 @@
-"""Several exposures of each pattern: where one is too dark or saturated, another is used."""
+"""Several exposures of each pattern, the level at which a camera saturates, and samples of its images."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +13,8 @@ from hw.rig import Capabilities, Frame, Rig
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.capture import capture, open_capture, record
-from scanner.decoding import Decoder, Decoding, MaskReason
+from scanner.decoding import Decoder, Decoding, MaskReason, saturation_level
+from scanner.decoding.light.samples import GridSample
 from scanner.errors import InputError
 from scanner.patterns import Black, Pattern, White, sequence_for
 from tests.support.synthetic_capture import Scene
@@ -159,3 +160,26 @@ def test_a_camera_of_one_exposure_is_refused() -> None:
     room = SimulatedRoom(SimulatedRigSettings(furniture=False, interreflection=False), (64, 48), (64, 48))
     with pytest.raises(DeviceError, match="take every pattern with one exposure"):
         capture(Rig(SimulatedProjector(room), Fixed()), sequence_for((64, 48)), (1000.0, 2000.0))
+
+
+@pytest.mark.parametrize(
+    ("peak", "level"),
+    [(1023, 1023), (4095, 4095), (65535, 65535), (65520, 65520), (4000, np.inf), (900, np.inf)],
+)
+def test_the_saturation_of_16_bit_images(peak: int, level: float) -> None:
+    assert saturation_level(np.array([[3, peak]], np.uint16)) == level
+
+
+def test_the_saturation_of_8_bit_images() -> None:
+    assert saturation_level(np.array([[3, 9]], np.uint8)) == 254
+
+
+@pytest.mark.parametrize("shape", [(225, 300), (7, 5), (1000, 1501), (224, 449)])
+def test_a_grid_mask_is_enlarged_to_the_pixels_it_was_taken_from(shape: tuple[int, int]) -> None:
+    grid = GridSample(shape)
+    row, column = np.mgrid[: shape[0], : shape[1]]
+    chosen = np.asarray(grid.of(column), np.float64) > shape[1] / 2
+    assert np.array_equal(grid.of(grid.at_full_size(chosen)), chosen)
+    beside = np.abs(column - shape[1] / 2) > grid.step
+    assert np.array_equal(grid.at_full_size(chosen)[beside], (column > shape[1] / 2)[beside])
+    assert np.array_equal(grid.rows, grid.of(row))

@@ -1,14 +1,19 @@
-"""Priors of all lenses from a configuration, for every estimate."""
+"""What is known of the devices beforehand: lens priors of a configuration, and calibrations without captures.
+
+A calibration of boards is combined with the captures of a corner.
+"""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from calib.geometry import DeviceSigmas, Intrinsics, Size
 from calib.refinement import LensPrior
+from calib.self_calibration import KnownCalibration
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.io import read_calibration
-from scanner.results import CALIBRATION_FILE
+from scanner.io import MATCHES_FILE, read_calibration
+from scanner.results import CALIBRATION_FILE, read_uncertainty
 
 log = logging.getLogger(__name__)
 
@@ -59,3 +64,49 @@ def _prior_of(device: Intrinsics, sigma: DeviceSigmas) -> LensPrior | None:
     if sigma.distortion is None:
         return None
     return LensPrior(device.distortion, tuple(max(sigma_of_term, _SUREST) for sigma_of_term in sigma.distortion))
+
+
+_YAML = (".yaml", ".yml")
+
+
+def is_calibration(path: Path) -> bool:
+    """Whether a path is a calibration file, or a result that has a calibration and no matches."""
+    if path.is_dir():
+        return (path / CALIBRATION_FILE).is_file() and not (path / MATCHES_FILE).exists()
+    return path.suffix.lower() in _YAML
+
+
+def read_known(paths: Sequence[Path], camera_size: Size, projector_size: Size) -> KnownCalibration | None:
+    """The one calibration among these paths; None if all are captures.
+
+    Raises InputError if there are two, or if it is of another rig, or has no covariance.
+    """
+    given = [path for path in paths if is_calibration(path)]
+    if not given:
+        return None
+    if len(given) > 1:
+        raise InputError(
+            f"{', '.join(map(str, given))}: expected at most one calibration to join with captures; give all captures "
+            "of boards to one scan board"
+        )
+    (path,) = given
+    return _read(path / CALIBRATION_FILE if path.is_dir() else path, camera_size, projector_size)
+
+
+def _read(file: Path, camera_size: Size, projector_size: Size) -> KnownCalibration:
+    calibration = read_calibration(file)
+    for name, device, expected in (
+        ("camera", calibration.camera, camera_size),
+        ("projector", calibration.projector, projector_size),
+    ):
+        if device.size != expected:
+            raise InputError(
+                f"{file}: its {name} is {device.size}, but {expected} is expected: what is calibrated together comes "
+                "from one unchanged rig"
+            )
+    uncertainty = read_uncertainty(file, calibration)
+    if uncertainty is None:
+        raise InputError(
+            f"{file}: has no covariance, without which it cannot be weighed against captures: make it with scan board"
+        )
+    return KnownCalibration(calibration, uncertainty)

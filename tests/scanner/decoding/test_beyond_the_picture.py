@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from calib.numerics import Bools
 from calib.refusal import RefusalError
-from scanner.decoding.coordinates.coordinate_maps import Maps
+from scanner.decoding.coordinates import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.matches import match_kept
 from scanner.decoding.planning import plan_sequence
