@@ -3,6 +3,7 @@
 They are those of the working folder, of the configuration, of results, and what a result's files say of it.
 """
 
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,20 +18,11 @@ from scanner.comparing import COMPARE_PAGE
 from scanner.results import LOG_FILE
 from scanner.viewing import escaped
 from tests.support.browsing import Served, Visit, visiting
+from tests.support.hostile import FILE_NAME, TEXT, assert_harmless
 from tests.support.result_folder import write_result
 from tests.support.small_capture import CONFIG
 
 pytestmark = pytest.mark.xdist_group("browser")
-
-TAKEN = "window.taken = 1"
-HOSTILE = (
-    f"""<img src=x onerror="{TAKEN}">'`![x](x)[y](javascript:{TAKEN})`{{{{7*7}}}}"""
-    f"\x1b[31m\nred<script>{TAKEN}<!--"
-)
-ELEMENTS = """() => [...document.querySelectorAll("*")]
-  .filter(element => /\\bx$/.test(element.getAttribute("src") || "") || /^javascript:/.test(element.href || "")
-    || [...element.attributes].some(attribute => attribute.name.startsWith("on")))
-  .map(element => element.outerHTML)"""
 
 
 def write_hostile(folder: Path) -> None:
@@ -38,31 +30,25 @@ def write_hostile(folder: Path) -> None:
     write_result(folder)
     file = folder / "calibration.yaml"
     content = yaml.safe_load(file.read_text(encoding="utf-8"))
-    content["verdict"] = {"grade": "fair", "headline": HOSTILE, "reasons": [HOSTILE] * 9, "advice": HOSTILE}
-    finding = {"kind": HOSTILE, "severity": Severity.WARNING.value, "message": HOSTILE, "advice": HOSTILE}
+    content["verdict"] = {"grade": "fair", "headline": TEXT, "reasons": [TEXT] * 9, "advice": TEXT}
+    finding = {"kind": TEXT, "severity": Severity.WARNING.value, "message": TEXT, "advice": TEXT}
     content["findings"] = [finding]
     file.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
-    (folder / LOG_FILE).write_text(HOSTILE)
+    (folder / LOG_FILE).write_text(TEXT)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A working folder with two results, all with hostile names."""
-    name = HOSTILE.replace("/", "")
-    folder = tmp_path_factory.mktemp("hostile") / name
+    folder = tmp_path_factory.mktemp("hostile") / FILE_NAME
     for number in (1, 2):
-        write_hostile(folder / "scans" / f"{number}{name}")
-    (folder / f"{name}.yaml").write_text(CONFIG)
+        write_hostile(folder / "scans" / f"{number}{FILE_NAME}")
+    (folder / f"{FILE_NAME}.yaml").write_text(CONFIG)
     return folder
 
 
 def results(folder: Path) -> list[Path]:
     return sorted((folder / "scans").iterdir())
-
-
-def assert_harmless(page: Page) -> None:
-    assert page.evaluate("window.taken") is None
-    assert page.evaluate(ELEMENTS) == []
 
 
 @pytest.fixture
@@ -97,6 +83,21 @@ def test_the_console_shows_names_as_text(folder: Path, browser: Browser) -> None
         visit.press("Open")
         visit.wait_for("Points, %")
         assert_shown_as_text(served, visit)
+
+
+def test_live_clouds_show_names_as_text(folder: Path, browser: Browser) -> None:
+    """Of the working folder, the configuration, the calibration, and the result that is kept."""
+    config = next(folder.glob("*.yaml"))
+    with contextlib.chdir(folder):
+        assert main(["--config", str(config), "--out", f"rig{FILE_NAME}", "--quiet"]) == 0
+    calibration, out = f"rig{FILE_NAME}/calibration.yaml", f"live{FILE_NAME}"
+    live = ("live", "--page", "--config", config, "--calibration", calibration, "--out", out)
+    with Served(folder, *live) as served, visiting(browser, served.address) as visit:
+        visit.wait_for("clouds a second")
+        visit.press("Keep this cloud")
+        visit.wait_for("Station 1 is kept: ")
+        assert_shown_as_text(served, visit)
+    assert (folder / out / "captures" / "1" / "cloud.ply").is_file()
 
 
 def test_a_comparison_shows_names_as_text(
