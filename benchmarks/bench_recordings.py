@@ -7,7 +7,8 @@ Every film shows the video of `scan patterns --video`, by a camera of `filming/`
 the reader: clocks 0.1 % off, any start. The bit rate is that of 1080p in proportion to the pixels; --width 1920
 films 1920 × 1080 with a projector of 854 × 480. --drawn draws cameras, videos and disturbances at random, ten to a
 room. 'error' is the mean absolute error of (f_c, f_p, x_p, y_p), 'sigmas' the largest of the four in sigmas of its own;
-a refused film gives the reason. The last line sums up: 'confident and wrong' is off by more than 4 sigma.
+'of sigma' is the root mean square of matches' errors over their sigmas; a refused film gives the reason. The last line
+sums up: 'confident and wrong' is off by more than 4 sigma.
 """
 
 import argparse
@@ -23,8 +24,8 @@ from filming.player import Played, play
 from rich.console import Console
 from rich.table import Table
 
-from calib.geometry import Calibration, Size
-from calib.numerics import Image
+from calib.geometry import Calibration, Matches, Size
+from calib.numerics import Floats, Image
 from calib.refusal import RefusalError
 from hw.settings import SimulatedRigSettings
 from hw.simulated import Light, SimulatedRoom
@@ -37,6 +38,7 @@ from scanner.ui import Terminal
 
 FULL_PIXELS = 1920 * 1080
 MOST_SIGMAS = 4.0
+WRONG_SIGMAS = 10.0  # of a match
 PER_ROOM = 10  # random films per room
 
 
@@ -159,9 +161,13 @@ class Stage:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A row of the table; `sigmas` is None for a refused film, whose reason is `told`."""
+    """A row of the table; `sigmas` is None for a refused film, whose reason is `told`.
+
+    `error_of_sigma`: root mean square of errors of matches over their sigmas, along the worse axis.
+    """
 
     median_px: float | None
+    error_of_sigma: float | None
     error_percent: float | None
     sigmas: float | None
     found: str
@@ -174,7 +180,8 @@ def judged(stage: Stage, programme: Programme, recording: Path, folder: Path) ->
     try:
         imported = import_recording(recording, programme, folder, Terminal(quiet=True))
     except InputError as error:
-        return Outcome(None, None, None, "", str(error).removeprefix(f"{recording}: "), time.process_time() - begun)
+        why = str(error).removeprefix(f"{recording}: ")
+        return Outcome(None, None, None, None, "", why, time.process_time() - begun)
     seconds = time.process_time() - begun
     clocks, height = imported.clocks, stage.room.renderer.shape[0]
     found = f"{exposure_text(clocks)}, {1e3 * clocks.line_s * height:.1f} ms, "
@@ -188,12 +195,21 @@ def judged(stage: Stage, programme: Programme, recording: Path, folder: Path) ->
         config = load_config(None, overrides)
         newest = replay(folder, folder.parent / "result", config=config, overwrite=True).newest
     except (InputError, RefusalError) as error:
-        return Outcome(None, None, None, found, str(error), seconds)
+        return Outcome(None, None, None, None, found, str(error), seconds)
     calibrated, matches = newest.calibration, newest.decoded.matches
     x, y = np.rint(matches.camera_px).astype(int).T
-    median = float(np.nanmedian(np.linalg.norm(matches.projector_px - truth.projector_px[y, x], axis=1)))
+    error_px = matches.projector_px - truth.projector_px[y, x]
+    median, of_sigma = float(np.nanmedian(np.linalg.norm(error_px, axis=1))), error_of_sigma(error_px, matches)
     errors = intrinsic_errors_percent(calibrated, calibration)
-    return Outcome(median, float(np.abs(errors).mean()), most_sigmas(calibrated, stage), found, told, seconds)
+    return Outcome(median, of_sigma, float(np.abs(errors).mean()), most_sigmas(calibrated, stage), found, told, seconds)
+
+
+def error_of_sigma(error_px: Floats, matches: Matches) -> float:
+    """Root mean square of errors (n, 2) over sigmas along the worse axis, without wrong matches."""
+    assert matches.sigma_px is not None
+    relative = error_px / matches.sigma_px[:, None]
+    relative = relative[(np.abs(relative) < WRONG_SIGMAS).all(axis=1)]
+    return float(np.sqrt(np.mean(relative**2, axis=0)).max())
 
 
 def most_sigmas(found: Calibration, stage: Stage) -> float:
@@ -256,6 +272,7 @@ def row(seed: int, name: str, outcome: Outcome) -> list[str]:
         str(seed),
         name,
         number(outcome.median_px, ".3f"),
+        number(outcome.error_of_sigma, ".2f"),
         number(outcome.error_percent, ".3f"),
         number(outcome.sigmas, ".1f"),
         outcome.found,
@@ -284,7 +301,17 @@ def main() -> None:
     table = Table(
         title=f"Films of {camera_size[0]} × {camera_size[1]}, projector {projector_size[0]} × {projector_size[1]}"
     )
-    for column in ("room", "film", "median px", "error %", "sigmas", "exposure, readout, per picture", "CPU s", "told"):
+    for column in (
+        "room",
+        "film",
+        "median px",
+        "of sigma",
+        "error %",
+        "sigmas",
+        "exposure, readout, per picture",
+        "CPU s",
+        "told",
+    ):
         table.add_column(column, justify="left" if column in ("film", "told") else "right")
     results = list[Outcome]()
     with tempfile.TemporaryDirectory() as folder:

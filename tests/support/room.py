@@ -18,7 +18,7 @@ from calib.numerics import Bools, Floats, Image, Ints
 from calib.synthetic import look_at
 from hw.settings import SimulatedRigSettings
 from hw.simulated import Light, SimulatedRoom
-from scanner.patterns import PRESETS, write_sequence
+from scanner.patterns import PRESETS, PresetName, write_sequence
 from scanner.recordings import Programme, programme_of, write_player_video
 
 SPHERE = 1000
@@ -169,6 +169,7 @@ class FilmedRoom:
 
     folder: Path
     hold_s: float = 0.1
+    preset: PresetName = "quick"
     seen: dict[bytes, Light] = field(default_factory=dict)
 
     @cached_property
@@ -178,7 +179,7 @@ class FilmedRoom:
 
     @cached_property
     def programme(self) -> Programme:
-        return programme_of(PRESETS["quick"].patterns(PROJECTOR), Size(*PROJECTOR), self.hold_s, 1)
+        return programme_of(PRESETS[self.preset].patterns(PROJECTOR), Size(*PROJECTOR), self.hold_s, 1)
 
     @cached_property
     def sequence(self) -> Path:

@@ -10,6 +10,9 @@ from filming.camera import Camera
 
 from scanner.capture import open_capture
 from scanner.decoding import Decoder
+from scanner.patterns import PresetName
+from scanner.pipeline import decode_recording
+from scanner.ui import Terminal
 from tests.support.command_line import run
 from tests.support.room import BIT_RATE, CAMERA, PROJECTOR, FilmedRoom
 
@@ -62,6 +65,25 @@ def test_a_film_at_the_rate_of_television(tmp_path: Path) -> None:
     assert -150 < found["projector_slower_ppm"] < 100
     assert not found["findings"]
     assert 0.005 < median_error_px(filmed, tmp_path / "capture") < 0.12
+
+
+@pytest.mark.parametrize("preset", ["quick", "standard"])
+def test_errors_of_a_film_are_as_large_as_its_sigmas(
+    preset: PresetName, filmed: FilmedRoom, recording: Path, tmp_path: Path
+) -> None:
+    """An encoder's errors are not all among what shows the same light twice; neighbouring coordinates have them."""
+    if preset != filmed.preset:
+        filmed = FilmedRoom(tmp_path, preset=preset)
+        recording = filmed.film("film.mp4", Camera(bit_rate=BIT_RATE))
+    imported(filmed, recording, tmp_path / "capture")
+    matches = decode_recording(open_capture(tmp_path / "capture"), Terminal(quiet=True)).matches
+    assert matches.sigma_px is not None
+    x, y = np.rint(matches.camera_px).astype(int).T
+    relative = (matches.projector_px - filmed.room.ground_truth().projector_px[y, x]) / matches.sigma_px[:, None]
+    relative = relative[(np.abs(relative) < 10).all(axis=1)]
+    assert len(relative) > 0.95 * len(matches)
+    assert np.all(np.sqrt(np.mean(relative**2, axis=0)) > 0.8)
+    assert np.all(np.sqrt(np.mean(relative**2, axis=0)) < 1.25)
 
 
 def test_a_film_in_ten_bits_with_repeated_frames(filmed: FilmedRoom, tmp_path: Path) -> None:
