@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-from calib.geometry import Calibration, Pose
+from calib.geometry import SQUARE_PIXELS, Calibration, PixelGrid, Pose
 from hw.backends import RigSettings
 from hw.errors import DeviceError
 from hw.real_devices import Pair, PairSettings, RealDevices
@@ -38,12 +38,18 @@ class OpenedRig:
 
 @contextmanager
 def open_rig(
-    settings: RigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
+    settings: RigSettings,
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+    grid: PixelGrid = SQUARE_PIXELS,
 ) -> Iterator[OpenedRig]:
-    """Open the devices for as long as the context lasts; sizes are (width, height) in pixels. Raises DeviceError."""
+    """Open the devices for as long as the context lasts. Raises DeviceError.
+
+    Sizes are (width, height) in pixels, square ones of a projector whose own form a `grid`.
+    """
     pair = ("camera", "projector")
     with (
-        open_network({pair: PairSettings(settings, camera_size, projector_size)}) as network,
+        open_network({pair: PairSettings(settings, camera_size, projector_size, grid)}) as network,
         network.rig("projector", ["camera"]) as opened,
     ):
         yield opened
@@ -69,7 +75,7 @@ class OpenedNetwork:
     def rig(self, projector: str, cameras: Sequence[str]) -> Iterator[OpenedRig]:
         """Prepare a projector and cameras of one group, while all other projectors are dark. Raises DeviceError."""
         simulated = [
-            _simulated(pair.rig, pair.camera_size, pair.projector_size)
+            _simulated(pair.rig, pair.camera_size, pair.projector_size, pair.grid)
             for pair in (self._pairs[camera, projector] for camera in cameras)
             if isinstance(pair.rig, SimulatedRigSettings)
         ]
@@ -89,7 +95,7 @@ def open_network(pairs: Mapping[Pair, PairSettings[RigSettings]]) -> Iterator[Op
     Raises DeviceError.
     """
     real = {
-        names: PairSettings(pair.rig, pair.camera_size, pair.projector_size)
+        names: PairSettings(pair.rig, pair.camera_size, pair.projector_size, pair.grid)
         for names, pair in pairs.items()
         if isinstance(pair.rig, CameraRigSettings)
     }
@@ -98,17 +104,18 @@ def open_network(pairs: Mapping[Pair, PairSettings[RigSettings]]) -> Iterator[Op
 
 
 def _simulated(
-    settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
+    settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int], grid: PixelGrid
 ) -> OpenedRig:
+    true_size = settings.grid.square_size(grid.device_size(projector_size))
     if settings.thing.kind != "none":
-        thing = SimulatedThing(settings, camera_size, projector_size)
-        return OpenedRig(_rig_before(thing), thing.calibration, thing.truth.place, thing.solid)
-    room = SimulatedRoom(settings, camera_size, projector_size)
-    return OpenedRig(_rig_before(room), room.calibration, room.place)
+        thing = SimulatedThing(settings, camera_size, true_size)
+        return OpenedRig(_rig_before(thing, grid), thing.calibration, thing.truth.place, thing.solid)
+    room = SimulatedRoom(settings, camera_size, true_size)
+    return OpenedRig(_rig_before(room, grid), room.calibration, room.place)
 
 
-def _rig_before(room: Scenery) -> Rig:
-    settings, projector = room.settings, SimulatedProjector(room)
+def _rig_before(room: Scenery, grid: PixelGrid) -> Rig:
+    settings, projector = room.settings, SimulatedProjector(room, grid)
     identity = {"backend": "simulated", "seed": str(settings.seed), "pose": str(settings.pose)}
     return Rig(projector, SimulatedCamera(room, projector), identity, settings.refresh_hz)
 

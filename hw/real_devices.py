@@ -7,6 +7,7 @@ from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
+from calib.geometry import SQUARE_PIXELS, PixelGrid
 from hw.backends import backend_of
 from hw.cameras import CameraDriver, OpenedCamera
 from hw.errors import DeviceError
@@ -31,6 +32,9 @@ class PairSettings(Generic[Settings]):
     rig: Settings
     camera_size: tuple[int, int]
     projector_size: tuple[int, int]
+    """In square pixels."""
+    grid: PixelGrid = SQUARE_PIXELS
+    """The projector's own pixels."""
 
 
 RealPair = PairSettings[CameraRigSettings]
@@ -119,7 +123,7 @@ class RealDevices:
         return self._pairs[camera, projector].rig.refresh_hz or self._screens[projector].screen.refresh_hz
 
     def _open_screen(self, projector: str, pair: RealPair) -> None:
-        opened = self._open.enter_context(ScreenProjector(pair.rig.screen, pair.projector_size))
+        opened = self._open.enter_context(ScreenProjector(pair.rig.screen, pair.projector_size, pair.grid))
         for name, further in self._screens.items():
             if further.screen == opened.screen:
                 raise DeviceError(

@@ -5,6 +5,8 @@ from typing import ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from calib.geometry import PixelGrid
+
 _PLACES_BEFORE_A_CORNER = 8
 _PASSWORD = re.compile(r"""(?<=://)([^\s/@:"']*):[^\s/"']*@""")
 
@@ -158,6 +160,16 @@ class SimulatedRigSettings(Settings):
     walls_off_deg: float = Field(
         0.0, ge=0.0, le=10.0, description="Standard deviation of the corner's angles from 90°."
     )
+    pixel_aspect: float = Field(
+        1.0, ge=0.2, le=5.0, description="Height of the projector's pixels over their width; 0.5 for a diamond array."
+    )
+    odd_rows: float = Field(
+        0.0,
+        ge=-0.5,
+        le=0.5,
+        description="How far odd rows of them stand to the right of even ones, in widths of a pixel; ± 0.5 for a "
+        "diamond array.",
+    )
     furniture: bool = Field(True, description="Boxes, a cupboard and a sphere, which hide and shade parts.")
     furniture_askew_deg: float = Field(
         0.0, ge=0.0, le=30.0, description="Standard deviation of the angle between cupboard and wall."
@@ -270,6 +282,11 @@ class SimulatedRigSettings(Settings):
     bit_depth: Literal[8, 10, 12, 16] = Field(8, description="Bits per camera pixel.")
     full_well_electrons: float = Field(10_500.0, ge=100.0, description="Full well, which sets the shot noise.")
     read_noise_electrons: float = Field(2.5, ge=0.0, description="Standard deviation of the read noise.")
+
+    @property
+    def grid(self) -> PixelGrid:
+        """Of the projector's pixels."""
+        return PixelGrid(self.pixel_aspect, self.odd_rows)
 
     @property
     def places(self) -> int:

@@ -130,7 +130,7 @@ def replay(
             "--masks selects what to calibrate from, and --calibration replaces calibrating: give one of them"
         )
     settings = config or Config()
-    recording = open_capture(capture)
+    recording = open_capture(capture).in_square_pixels(settings.projector.grid)
     known = _calibration_for(recording, calibration, settings) if calibration else None
     sizes = recording.camera_size, recording.projector_size
     earlier, drawn = _read_beside(1, settings, sizes, masks, settings.earlier)

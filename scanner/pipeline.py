@@ -39,6 +39,7 @@ from scanner.configuration import CONFIGURATION_KEY, Config
 from scanner.decoding import Decoder, usable
 from scanner.errors import InputError
 from scanner.io import require_space, write_calibration
+from scanner.patterns import aspect_to_dict
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.reconstruction import (
     EarlyMatches,
@@ -122,7 +123,7 @@ def take(
 
     Raises DeviceError, StorageError if there is no room for it.
     """
-    rig = open_rig(settings, config.camera_size, config.projector_size)
+    rig = open_rig(settings, config.camera_size, config.projector_size, config.projector.grid)
     (found,) = take_together(rig, [PlannedCapture(name, config, folder)], progress, begun)
     return found
 
@@ -166,7 +167,8 @@ def take_together(
     with ExitStack() as devices:
         with progress.step("Preparing the rig"):
             opened = devices.enter_context(rig)
-            lines = measure_lines(opened.rig) if begun is None else [known_of_lines(begun.metadata)]
+            grid = first.projector.grid
+            lines = measure_lines(opened.rig, grid) if begun is None else [known_of_lines(begun.metadata)]
         for each, plan in zip(opened.all, planned, strict=True):
             if each.truth:
                 write_calibration(plan.folder / TRUTH_FILE, each.truth, _additional_truth(each))
@@ -174,7 +176,15 @@ def take_together(
         how = patterns, first.sequence.exposures_us, first.projector.known_response
         live = capture_together(opened.rig, *how) if begun is None else (take_up(begun, opened.rig, *how),)
         streams = [
-            replace(stream, metadata={**stream.metadata, **of_lines, CONFIGURATION_KEY: plan.config.recorded})
+            replace(
+                stream,
+                metadata={
+                    **stream.metadata,
+                    **of_lines,
+                    **aspect_to_dict(grid),
+                    CONFIGURATION_KEY: plan.config.recorded,
+                },
+            )
             for stream, of_lines, plan in zip(live, lines, planned, strict=True)
         ]
         recorded = [record(stream, plan.folder / CAPTURE_FOLDER) for stream, plan in zip(streams, planned, strict=True)]

@@ -23,6 +23,7 @@ from calib.geometry.homography import (
     mapped,
 )
 from calib.geometry.matches import FACES, NO_FACE, Matches
+from calib.geometry.pixel_grid import SQUARE_PIXELS, PixelGrid
 from calib.geometry.plane import PER_PLANE, Plane
 from calib.geometry.pose import (
     IDENTITY,

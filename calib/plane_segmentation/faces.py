@@ -164,8 +164,9 @@ def _no_corner(segments: Segments, triples: Triples) -> RefusalError:
         if triples.off_diamond < _AS_DIAMOND:
             reason += " Three would be if the projector's pixels were twice as wide as high, as in a diamond array."
             advice = (
-                "If its mirrors are a diamond array (DLP LightCrafter), import the frames with --pixel-aspect 0.5, "
-                f"which tells them in square pixels. Otherwise: {advice[0].lower()}{advice[1:]}"
+                "If its mirrors are a diamond array (DLP LightCrafter), set projector.pixel_aspect to 0.5, or import "
+                "the frames with --pixel-aspect 0.5: all is then in square pixels. "
+                f"Otherwise: {advice[0].lower()}{advice[1:]}"
             )
         return RefusalError(NO_PERPENDICULAR_PLANES, reason, advice, {"planes": float(len(segments.planes))})
     sigma = min(triple.direction_sigma_deg for triple in triples.square)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.geometry import SQUARE_PIXELS, PixelGrid
 from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.optional_parts import RIG
@@ -119,13 +120,14 @@ def list_screens() -> list[Screen]:
 class ScreenProjector(AbstractContextManager["ScreenProjector"]):
     """A projector that is a screen of this computer, from opening to closing (a context manager).
 
-    `wanted`: the screen's number, name or geometry; None for the only one of `size`, (width, height); or an X display,
-    for the only one there. Raises DeviceError if there is no such screen, if it has another size, or if it does not
-    show pixels unchanged.
+    `wanted`: the screen's number, name or geometry; None for the only one of its size; or an X display, for the only
+    one there. `size`: (width, height) of the images that it shows, in square pixels; `grid`: its own pixels. Raises
+    DeviceError if there is no such screen, if it has another size, or if it does not show pixels unchanged.
     """
 
-    def __init__(self, wanted: int | str | None, size: tuple[int, int]) -> None:
+    def __init__(self, wanted: int | str | None, size: tuple[int, int], grid: PixelGrid = SQUARE_PIXELS) -> None:
         self.size = size
+        self._grid = grid
         display = display_of(wanted)
         self._name = f"projector on {_display(display)}"
         self._process = _WindowProcess(display)
@@ -133,7 +135,9 @@ class ScreenProjector(AbstractContextManager["ScreenProjector"]):
             with self._errors():
                 screens: list[Screen] = self._process.receive(_START_TIMEOUT_S)
             self.screen = choose_screen(
-                [replace(screen, display=display) for screen in screens], None if display else wanted, size
+                [replace(screen, display=display) for screen in screens],
+                None if display else wanted,
+                grid.device_size(size),
             )
             self._name = f"projector on {self.screen}"
             with self._errors():
@@ -150,9 +154,9 @@ class ScreenProjector(AbstractContextManager["ScreenProjector"]):
 
         Raises ValueError if the image has another size, DeviceError if the window or its X server is gone.
         """
-        self._check(image)
+        pixels = self._sampled(image)
         with self._errors():
-            self._process.tell("prepare", image, _SHOW_TIMEOUT_S)
+            self._process.tell("prepare", pixels, _SHOW_TIMEOUT_S)
 
     def flip(self) -> Swap:
         """Show the prepared image; returns when the graphics card has swapped buffers. Raises DeviceError."""
@@ -164,9 +168,9 @@ class ScreenProjector(AbstractContextManager["ScreenProjector"]):
 
         Raises ValueError if the image has another size, DeviceError if the window or its X server is gone.
         """
-        self._check(image)
+        pixels = self._sampled(image)
         with self._errors():
-            self._process.post("show at", (image, when_s))
+            self._process.post("show at", (pixels, when_s))
 
     def shown(self, *, wait: bool) -> Swap | None:
         """The oldest swap of `show_at` that was not returned yet. Without `wait`, None if none has happened.
@@ -185,10 +189,12 @@ class ScreenProjector(AbstractContextManager["ScreenProjector"]):
         """Close the window."""
         self._process.end()
 
-    def _check(self, image: Image) -> None:
+    def _sampled(self, image: Image) -> Image:
+        """What its own pixels show of an image."""
         width, height = self.size
         if image.shape != (height, width) or image.dtype != np.uint8:
             raise ValueError(f"expected an 8-bit grey image of {width} × {height}, found {image.dtype} {image.shape}")
+        return self._grid.sample(image)
 
     @contextmanager
     def _errors(self) -> Iterator[None]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calib.geometry import SQUARE_PIXELS, PixelGrid
 from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame
@@ -23,19 +24,23 @@ Scenery = SimulatedRoom | SimulatedThing
 
 
 class SimulatedProjector:
-    """Lights the room with the picture that it shows; black at first."""
+    """Lights the room with the picture that it shows; black at first.
 
-    def __init__(self, room: Scenery) -> None:
-        self._room = room
+    `grid`: what its pixels are taken for; what they are is a setting of the room's. In both grids it has as many.
+    """
+
+    def __init__(self, room: Scenery, grid: PixelGrid = SQUARE_PIXELS) -> None:
+        self._room, self._grid = room, grid
+        optics = room.room.projector.optics
+        self._size = grid.square_size(room.settings.grid.device_size((optics.width, optics.height)))
         width, height = self.size
-        self._shown = room.renderer.picture.linear(np.zeros((height, width), np.uint8))
+        self._shown = self._linear(np.zeros((height, width), np.uint8))
         self._light = self._shown
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height in pixels."""
-        optics = self._room.room.projector.optics
-        return optics.width, optics.height
+        """Width and height in square pixels, if the grid is what it is taken for."""
+        return self._size
 
     @property
     def light(self) -> Light:
@@ -50,9 +55,13 @@ class SimulatedProjector:
                 f"the projector shows 8-bit grey images of {width} × {height} pixels, "
                 f"found {image.dtype} of the shape {image.shape}"
             )
-        before, self._shown = self._shown, self._room.renderer.picture.linear(image)
+        before, self._shown = self._shown, self._linear(image)
         ghost = np.float32(self._room.settings.ghost)
         self._light = self._shown if ghost == 0 else (1 - ghost) * self._shown + ghost * before
+
+    def _linear(self, image: Image) -> Light:
+        light: Light = self._room.renderer.picture.linear(self._room.settings.grid.spread(self._grid.sample(image)))
+        return light
 
 
 class SimulatedCamera:

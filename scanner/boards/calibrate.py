@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.boards import FEWEST_VIEWS, Board, BoardCalibration, BoardView, calibrate_boards
 from calib.finding import Finding, FindingKind, Severity
-from calib.geometry import Matches, Size, TooFewMatchesError
+from calib.geometry import SQUARE_PIXELS, Matches, PixelGrid, Size, TooFewMatchesError
 from calib.numerics import Image
 from calib.refinement import into_cells
 from scanner.capture import CAPTURE_FILE, Recording, open_capture
@@ -196,14 +196,15 @@ def _on_scale(result: FromBoards) -> Finding:
     return Finding(UNLIKELY_SCALE, Severity.NOTE, message, data=lengths)
 
 
-def read_folders(folders: Sequence[Path]) -> list[Recording]:
+def read_folders(folders: Sequence[Path], grid: PixelGrid = SQUARE_PIXELS) -> list[Recording]:
     """The captures in folders, or in folders of those, in the order of their names. Raises InputError.
 
-    They come from one unchanged rig, so their sizes are the same, and each is given once.
+    They come from one unchanged rig, so their sizes are the same, and each is given once. `grid`: its projector's
+    pixels.
     """
     recordings: list[Recording] = []
     for folder in folders:
-        recordings += [open_capture(place) for place in _captures_in(folder)]
+        recordings += [open_capture(place).in_square_pixels(grid) for place in _captures_in(folder)]
     places = [recording.folder.resolve() for recording in recordings]
     for i, place in enumerate(places):
         if place in places[:i]:

@@ -1,7 +1,7 @@
 """Reading a capture folder: `capture.yaml` and a frame for each pattern, checked before use."""
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from calib.finding import Finding
-from calib.geometry import Size
+from calib.geometry import PixelGrid, Size
 from calib.numerics import Image
 from hw.rig import Frame
 from scanner.capture.damaged_listing import damaged_image, left_out, planned_patterns, read_listing, unlisted
@@ -28,7 +28,16 @@ from scanner.io import (
     require_space,
     validate,
 )
-from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, White, level_groups
+from scanner.patterns import (
+    FORMAT,
+    PIXEL_ASPECT_KEY,
+    SEQUENCE_FILE,
+    Pattern,
+    PatternEntry,
+    White,
+    in_square_pixels,
+    level_groups,
+)
 from scanner.shown_text import shown
 
 _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US = 1e-3, 1e9
@@ -106,6 +115,23 @@ class Recording:
         group = next(iter(level_groups(self.patterns)), ())
         images = [read_image(self.folder / self.files[number], self.camera_size) for number in group]
         return np.rint(np.mean(images, axis=0)).astype(images[0].dtype) if images else None
+
+    def in_square_pixels(self, grid: PixelGrid) -> "Recording":
+        """The capture with size and patterns told in square pixels, if they are in those of a grid.
+
+        Raises InputError if the capture says that they were in those of another.
+        """
+        known = self.metadata.get(PIXEL_ASPECT_KEY, None if grid.aspect != 1 else 1.0)
+        if known is None:
+            patterns, size = in_square_pixels(self.patterns, self.projector_size, grid)
+            planned, _ = in_square_pixels(self.planned, self.projector_size, grid)
+            return replace(self, patterns=patterns, planned=planned, projector_size=size)
+        if known != grid.aspect and grid.aspect != 1:
+            raise InputError(
+                f"{self.folder}: its projector's pixels have a {PIXEL_ASPECT_KEY} of {shown(known)}, but "
+                f"projector.pixel_aspect is {grid.aspect:g}: set it to that, or leave it out"
+            )
+        return self
 
     def _frames(self) -> Iterator[tuple[Pattern, Frame]]:
         first: Image | None = None

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
+from calib.geometry import SQUARE_PIXELS, PixelGrid
 from calib.numerics import Floats, Image, grey
 from hw.rig import Rig
 from scanner.capture.stream import refuse_another_size
@@ -38,12 +39,13 @@ _LEAST_BEND = 0.05
 _LEAST_KEPT, _UNCHANGED = 0.6, 0.9
 
 
-def measure_lines(rig: Rig) -> list[Mapping[str, object]]:
+def measure_lines(rig: Rig, grid: PixelGrid = SQUARE_PIXELS) -> list[Mapping[str, object]]:
     """For the recording of each camera: what lines of one pixel keep of what they and grey differ by, from 0 to 1;
-    nothing where the camera cannot tell. Raises DeviceError if a device fails or a camera delivers frames of another
-    size.
+    nothing where the camera cannot tell. The pixels are those of `grid`.
+
+    Raises DeviceError if a device fails or a camera delivers frames of another size.
     """
-    size = rig.projector.size
+    size = grid.device_size(rig.projector.size)
     # A ghost of the picture before is of as much light, or of less by little.
     pictures = [
         _even(size, _BLACK),
@@ -53,7 +55,7 @@ def measure_lines(rig: Rig) -> list[Mapping[str, object]]:
         lines_of_light("y", size, (_BLACK, _WHITE)),
     ]
     levels: list[list[Floats]] = [[] for _ in rig.all]
-    for frames in rig.photograph_together(pictures):
+    for frames in rig.photograph_together([grid.spread(picture) for picture in pictures]):
         for camera_rig, frame, of_camera in zip(rig.all, frames, levels, strict=True):
             refuse_another_size(frame, camera_rig.camera.size)
             # Of all pixels: a camera may resolve the lines, and some would beat.

@@ -104,7 +104,7 @@ def _check(bench: _Bench, report: CheckReport) -> None:
     report.response = ramp.response.light if ramp.response else None
     report.add(response_row(ramp))
     with terminal.step("Looking at lines of one pixel"):
-        row = pixel_row(rig, light, ramp)
+        row = pixel_row(rig, bench.config.projector.grid, light, ramp)
     report.add(*([row] if row else []))
     _check_view(bench, light, report)
 

@@ -40,7 +40,8 @@ def opened(config: Config) -> Iterator[Rig]:
     with ExitStack() as devices:
         while True:
             try:
-                rig = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size)).rig
+                sizes = config.camera_size, config.projector_size
+                rig = devices.enter_context(open_rig(settings, *sizes, config.projector.grid)).rig
                 break
             except OverexposedError:
                 exposure_us = settings.exposure_us

@@ -10,6 +10,7 @@ need not resolve the lines.
 import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
+from calib.geometry import PixelGrid
 from calib.numerics import Floats, grey
 from hw.rig import Rig
 from scanner.capture import lines_of_light
@@ -33,15 +34,16 @@ CHECKED_PIXELS = FindingKind(
 )
 
 
-def pixel_row(rig: Rig, light: Light, ramp: Ramp) -> CheckRow | None:
-    """The remaining contrast of lines; None if the response is too linear. Raises DeviceError."""
+def pixel_row(rig: Rig, grid: PixelGrid, light: Light, ramp: Ramp) -> CheckRow | None:
+    """The remaining contrast of lines of the grid's pixels; None if the response is too linear. Raises DeviceError."""
     if ramp.response is None:
         return None
     where = light.well_lit
     black, white = light.mean_black[where].mean(), light.mean_white[where].mean()
     # Ghosting that is harmless elsewhere would change the contrast here by percents.
     levels = _level(_DARK), _level(_BRIGHT)
-    frames = settled(rig.photograph, [lines_of_light(axis, rig.projector.size, levels) for axis in _AXES])
+    size = grid.device_size(rig.projector.size)
+    frames = settled(rig.photograph, [grid.spread(lines_of_light(axis, size, levels)) for axis in _AXES])
     mean = np.array([(grey(frame.image)[where].mean() - black) / (white - black) for frame in frames])
     return row_of(_contrast(mean, ramp))
 

@@ -67,7 +67,7 @@ def _from_captures(args: Namespace, target: Target, out: Path, terminal: Termina
     if not args.overwrite:
         refuse_occupied(out, overwrite=False)
     config = load_config(None, args.set)
-    result = calibrate_captures(read_folders(args.captures), target, terminal, config)
+    result = calibrate_captures(read_folders(args.captures, config.projector.grid), target, terminal, config)
     with new_result(out, config, overwrite=args.overwrite) as folder:
         save_result(result, folder)
     return result

@@ -11,6 +11,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
+from calib.geometry import SQUARE_PIXELS, PixelGrid
 from scanner.commands import import_recording
 from scanner.decoding import describe_copies
 from scanner.errors import InputError
@@ -63,7 +64,7 @@ def run(args: Namespace) -> None:
     recognised, rejected = recognise(files, layouts, given, look, terminal, args.flip)
     order = _number(args.order, "--order", "a number of the list", _MOST_ORDERS)
     is_looked_at = recognised or any(reason.stage > OrderStage.COUNT for reason in rejected)
-    aspect = _ratio(args.pixel_aspect)
+    grid = None if args.pixel_aspect is None else PixelGrid(_ratio(args.pixel_aspect))
     copies = _copies(files, look()) if is_looked_at else ""
     chosen = _only_one(files, recognised, rejected, order, copies)
     if name is None:
@@ -71,30 +72,28 @@ def run(args: Namespace) -> None:
     unused = [*files.left_out, *(path for path in files.numbered if path not in chosen.files)]
     left_out = f"; left out: {', '.join(path.name for path in unused)}" if unused else ""
     terminal.show(f"{files}: {chosen.layout.title}, {_shown(chosen.projector_size)} ({chosen.how}){left_out}{copies}")
-    if aspect is None and chosen.projector_size in DIAMOND_ARRAYS:
+    if grid is None and chosen.projector_size in DIAMOND_ARRAYS:
         width, height = chosen.projector_size
         terminal.show(
             f"{width} × {height} mirrors are a diamond array (DLP LightCrafter), whose pixels are twice as wide as "
             "high: give --pixel-aspect 0.5, unless the picture was scaled to them."
         )
-    if aspect is not None:
-        patterns, size = in_square_pixels(chosen.patterns, chosen.projector_size, aspect)
+    if grid is not None:
+        patterns, size = in_square_pixels(chosen.patterns, chosen.projector_size, grid)
         chosen = replace(chosen, patterns=patterns, projector_size=size)
         terminal.show(f"In square pixels: {_shown(size)}.")
     if output is None:
         terminal.show("→ The same command with --out CAPTURE makes a capture of them.")
         return
     with output:
-        write_capture(output.folder, chosen, look().camera_size, args.flip)
+        write_capture(output.folder, chosen, look().camera_size, args.flip, grid or SQUARE_PIXELS)
     terminal.show(
         f"{len(chosen.files)} frames and capture.yaml are in {args.out}", f"→ scan replay {args.out} reconstructs it."
     )
 
 
-def _ratio(text: str | None) -> float | None:
+def _ratio(text: str) -> float:
     """A ratio from the command line. Raises InputError."""
-    if text is None:
-        return None
     low, high = _RATIOS
     value = float(text) if re.fullmatch(r"[0-9]+\.?[0-9]*", text) else 0.0
     if not low <= value <= high:

@@ -6,8 +6,7 @@ With --video they are a film as well, to be shown by any player and filmed by an
 from argparse import Namespace
 from pathlib import Path
 
-from calib.geometry import Size
-from scanner.configuration import load_config
+from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.patterns import SEQUENCE_FILE, Pattern, write_sequence
 from scanner.quantities import parse_seconds
@@ -22,16 +21,16 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
     config = load_config(args.config, args.set)
     patterns = config.sequence.patterns(config.projector_size)
-    programme = _programme(args, patterns, config.projector_size)
+    programme = _programme(args, patterns, config)
     terminal = Terminal(quiet=args.quiet)
     with OutputFolder(args.out) as output:
         with terminal.step("Drawing the patterns"):
             more = {"video": programme.as_dict(args.video)} if programme else {}
-            write_sequence(output.folder, patterns, config.projector_size, **more)
+            write_sequence(output.folder, patterns, config.projector_size, config.projector.grid, **more)
         if programme:
             with terminal.step("Writing the video"):
                 write_player_video(output.folder / args.video, programme)
-    width, height = config.projector_size
+    width, height = config.projector.grid.device_size(config.projector_size)
     terminal.show(f"{len(patterns)} patterns of {width} × {height} pixels, and sequence.yaml, are in {args.out}")
     if programme:
         terminal.show(
@@ -46,7 +45,7 @@ def run(args: Namespace) -> None:
     )
 
 
-def _programme(args: Namespace, patterns: tuple[Pattern, ...], size: tuple[int, int]) -> Programme | None:
+def _programme(args: Namespace, patterns: tuple[Pattern, ...], config: Config) -> Programme | None:
     if args.video is None:
         if args.hold is not None or args.loops is not None:
             raise InputError("--hold and --loops are for a video: give --video as well, as in --video sequence.mp4")
@@ -57,6 +56,7 @@ def _programme(args: Namespace, patterns: tuple[Pattern, ...], size: tuple[int, 
         )
     try:
         hold_s = _HOLD_S if args.hold is None else parse_seconds("--hold", args.hold)
-        return programme_of(patterns, Size(*size), hold_s, _LOOPS if args.loops is None else args.loops)
+        loops = _LOOPS if args.loops is None else args.loops
+        return programme_of(patterns, config.projector_size, hold_s, loops, config.projector.grid)
     except ValueError as error:
         raise InputError(f"--hold, --loops: {error}") from error

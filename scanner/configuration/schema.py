@@ -121,8 +121,8 @@ class Config(Settings):
 
     @property
     def projector_size(self) -> Size:
-        """The size of the projector's image. Raises InputError if it is not configured."""
-        return _required_size("projector", self.projector.size)
+        """The size of the projector's image, in square pixels. Raises InputError if it is not configured."""
+        return self.projector.grid.square_size(_required_size("projector", self.projector.size))
 
     def refuse_other_sizes(self, path: Path, camera: Size, projector: Size) -> None:
         """Raise InputError if the content of `path` belongs to devices of other sizes."""

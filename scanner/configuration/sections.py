@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
-from calib.geometry import Size
+from calib.geometry import PixelGrid, Size
 from calib.refinement import DECENTERING, SQUARENESS_DEG, THIRD_RADIAL
 from hw.settings import Settings
 from scanner.errors import InputError
@@ -81,11 +81,31 @@ class ProjectorSettings(_DeviceSettings):
         "measures it. Fringes are then projected as true sines; default: the decoder corrects gamma.",
     )
 
+    pixel_aspect: Number = Field(
+        default=1.0,
+        ge=0.2,
+        le=5,
+        description="Height of its pixels over their width, 0.5 for diamond arrays of mirrors (LightCrafter 4500). "
+        "Patterns, calibrations and exports are then in square pixels, of which it has twice the width.",
+    )
+    odd_rows: Number = Field(
+        default=0.0,
+        ge=-0.5,
+        le=0.5,
+        description="How far odd rows of pixels, counted from 0, stand to the right of even ones, in widths of a "
+        "pixel; 0.5 or −0.5 for diamond arrays. Pictures are drawn accordingly.",
+    )
+
     @model_validator(mode="after")
     def _rising(self) -> "ProjectorSettings":
         if self.response is not None:
             ProjectorResponse(self.response)
         return self
+
+    @property
+    def grid(self) -> PixelGrid:
+        """Of its pixels."""
+        return PixelGrid(self.pixel_aspect, self.odd_rows)
 
     @property
     def known_response(self) -> ProjectorResponse | None:

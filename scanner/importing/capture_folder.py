@@ -2,18 +2,26 @@
 
 from pathlib import Path
 
+from calib.geometry import SQUARE_PIXELS, PixelGrid
 from scanner.capture import CAPTURE_FILE
 from scanner.importing.frame_files import read_frame
 from scanner.importing.layout import Size
 from scanner.importing.recognition import Recognised
 from scanner.io import MOST_IMAGE_FILE_BYTES, copy_given, flow_yaml, write_png
-from scanner.patterns import FORMAT, Axis, frame_line, size_to_dict
+from scanner.patterns import FORMAT, Axis, aspect_to_dict, frame_line, size_to_dict
 
 
-def write_capture(folder: Path, recognised: Recognised, camera_size: Size, flip: Axis | None = None) -> None:
+def write_capture(
+    folder: Path,
+    recognised: Recognised,
+    camera_size: Size,
+    flip: Axis | None = None,
+    grid: PixelGrid = SQUARE_PIXELS,
+) -> None:
     """`capture.yaml`, and `frames/` with the images under their own names, into an existing folder.
 
-    Images that are to be mirrored back along an axis are written as PNG.
+    Images that are to be mirrored back along an axis are written as PNG. `grid`: the pixels of the projector, of which
+    patterns and size are told in square ones.
 
     Raises OSError, InputError.
     """
@@ -22,6 +30,7 @@ def write_capture(folder: Path, recognised: Recognised, camera_size: Size, flip:
     header = {
         "format": FORMAT,
         "projector": size_to_dict(recognised.projector_size),
+        **aspect_to_dict(grid),
         "camera": size_to_dict(camera_size),
         "imported from": recognised.layout.title,
     }

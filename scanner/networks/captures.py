@@ -52,7 +52,8 @@ def read_pairs(folders: Sequence[Path], config: Config, terminal: Terminal) -> C
     if roles:
         raise InputError(f"'{min(roles)}' names a camera in one capture and a projector in another; give it one role")
     sizes: dict[str, tuple[Size, Path]] = {}
-    recordings = {pair: open_capture(_recording_in(folder)) for pair, folder in named.items()}
+    grid = config.projector.grid
+    recordings = {pair: open_capture(_recording_in(folder)).in_square_pixels(grid) for pair, folder in named.items()}
     for pair, recording in recordings.items():
         for name, size in zip(pair, (recording.camera_size, recording.projector_size), strict=True):
             known, where = sizes.setdefault(name, (size, recording.folder))

@@ -46,7 +46,10 @@ def take_pairs(pairs: Mapping[Pair, Config], folder: Path, progress: Progress, o
     sizes: dict[str, Size] = {}
     for pair in pairs:
         on_sight(PairProgress(*pair), None)
-    wanted = {pair: PairSettings(own.required_rig, own.camera_size, own.projector_size) for pair, own in pairs.items()}
+    wanted = {
+        pair: PairSettings(own.required_rig, own.camera_size, own.projector_size, own.projector.grid)
+        for pair, own in pairs.items()
+    }
     with ExitStack() as devices:
         with progress.step("Opening all devices"):
             network = devices.enter_context(open_network(wanted))

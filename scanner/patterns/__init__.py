@@ -24,8 +24,10 @@ from scanner.patterns.projector_response import ProjectorResponse
 from scanner.patterns.redundancy import level_groups, unpaired_bits
 from scanner.patterns.sequence_file import (
     FORMAT,
+    PIXEL_ASPECT_KEY,
     SEQUENCE_FILE,
     PatternEntry,
+    aspect_to_dict,
     frame_line,
     pattern_to_dict,
     size_to_dict,

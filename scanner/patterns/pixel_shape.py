@@ -7,20 +7,17 @@ pixels for square, so that it is given the latter: longer cells and periods on a
 from collections.abc import Sequence
 from dataclasses import replace
 
+from calib.geometry import PixelGrid, Size
 from scanner.patterns.pattern import Axis, Gray, Pattern, Phase, Xor
 
-Size = tuple[int, int]
 
-
-def in_square_pixels(patterns: Sequence[Pattern], size: Size, aspect: float) -> tuple[tuple[Pattern, ...], Size]:
-    """Return patterns and size (width, height) in square pixels, as high as the pixels are, or as wide if these are
-    higher than wide.
-
-    `aspect`: height over width of the pixels that patterns and size are told in; 0.5 if they are twice as wide as high.
-    """
-    times: dict[Axis, float] = {"x": max(1.0, 1 / aspect), "y": max(1.0, aspect)}
-    width, height = size
-    return tuple(_stretched(p, times) for p in patterns), (round(width * times["x"]), round(height * times["y"]))
+def in_square_pixels(
+    patterns: Sequence[Pattern], size: tuple[int, int], grid: PixelGrid
+) -> tuple[tuple[Pattern, ...], Size]:
+    """Patterns and size (width, height) in square pixels, of those in the pixels of a grid."""
+    across, down = grid.square_per_pixel
+    times: dict[Axis, float] = {"x": across, "y": down}
+    return tuple(_stretched(p, times) for p in patterns), grid.square_size(size)
 
 
 def _stretched(pattern: Pattern, times: dict[Axis, float]) -> Pattern:

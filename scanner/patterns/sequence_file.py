@@ -11,10 +11,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from calib.geometry import SQUARE_PIXELS, PixelGrid
 from scanner.io import Entry, Flag, Number, Whole, flow_yaml, write_png
 from scanner.patterns.pattern import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
 
 FORMAT = 1
+# Height over width of the projector's pixels, in files whose patterns and size are told in square ones instead.
+PIXEL_ASPECT_KEY = "pixel_aspect"
 SEQUENCE_FILE = "sequence.yaml"
 
 
@@ -98,18 +101,28 @@ def size_to_dict(size: tuple[int, int]) -> dict[str, int]:
     return {"width": size[0], "height": size[1]}
 
 
+def aspect_to_dict(grid: PixelGrid) -> dict[str, float]:
+    """The shape of the projector's pixels in the form of the files, unless they are square."""
+    return {} if grid.aspect == 1 else {PIXEL_ASPECT_KEY: grid.aspect}
+
+
 def write_sequence(
-    folder: Path, patterns: tuple[Pattern, ...], projector_size: tuple[int, int], **more: object
+    folder: Path,
+    patterns: tuple[Pattern, ...],
+    projector_size: tuple[int, int],
+    grid: PixelGrid = SQUARE_PIXELS,
+    **more: object,
 ) -> None:
     """`sequence.yaml` and the images to project, `patterns/000.png` …, into an existing folder. Raises OSError.
 
-    `more`: further keys of `sequence.yaml`.
+    `projector_size` (width, height) is in square pixels, images in those of `grid`. `more`: further keys of
+    `sequence.yaml`.
     """
     (folder / "patterns").mkdir()
-    header = {"format": FORMAT, "projector": size_to_dict(projector_size), **more}
+    header = {"format": FORMAT, "projector": size_to_dict(projector_size), **aspect_to_dict(grid), **more}
     lines = [f"{flow_yaml(key)}: {flow_yaml(value)}\n" for key, value in header.items()] + ["frames:\n"]
     for index, pattern in enumerate(patterns):
         file = f"patterns/{index:03d}.png"
-        write_png(folder / file, draw(pattern, projector_size))
+        write_png(folder / file, grid.sample(draw(pattern, projector_size)))
         lines.append(frame_line(file, pattern))
     (folder / SEQUENCE_FILE).write_text("".join(lines), encoding="utf-8")

@@ -82,8 +82,9 @@ def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Give
     if not (folder / CAPTURE_FOLDER / CAPTURE_FILE).is_file():
         return GivenMatches()
     recording = open_capture(folder / CAPTURE_FOLDER)
-    _check_size(folder, "camera", recording.camera_size, camera_size)
-    _check_size(folder, "projector", recording.projector_size, projector_size)
+    if not (folder / CALIBRATION_FILE).is_file():
+        _check_size(folder, "camera", recording.camera_size, camera_size)
+        _check_size(folder, "projector", recording.projector_size, projector_size)
     fringes = (pattern for pattern in recording.patterns if isinstance(pattern, Phase))
     return GivenMatches(recording.white(), smooth_error_px(fringes))
 

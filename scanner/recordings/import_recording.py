@@ -9,7 +9,7 @@ import numpy as np
 from calib.finding import Finding, FindingKind, Severity
 from scanner.capture import CAPTURE_FILE, SMOOTH_KEY
 from scanner.io import flow_yaml, write_png
-from scanner.patterns import FORMAT, frame_line, size_to_dict
+from scanner.patterns import FORMAT, aspect_to_dict, frame_line, size_to_dict
 from scanner.recordings.averaging import average, image_of
 from scanner.recordings.clock_fit import fit_times_and_clocks
 from scanner.recordings.clocks import Clocks, exposure_text
@@ -125,6 +125,7 @@ def _header(samples: VideoSamples, programme: Programme, imported: Imported) -> 
     return {
         "format": FORMAT,
         "projector": size_to_dict(programme.size),
+        **aspect_to_dict(programme.grid),
         "camera": size_to_dict(upright),
         "imported from": "a recording",
         "recording": found,

@@ -20,7 +20,7 @@ _LIMITED_RANGE, _BT_709 = 1, 1
 
 def write_player_video(path: Path, programme: Programme) -> None:
     """A picture with an odd side gets another row or column. Raises InputError if PyAV is missing."""
-    width, height = (side + side % 2 for side in programme.size)
+    width, height = (side + side % 2 for side in programme.grid.device_size(programme.size))
     library = av()
     with library.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=FRAMES_PER_SECOND)
@@ -31,7 +31,7 @@ def write_player_video(path: Path, programme: Programme) -> None:
         context.color_primaries, context.color_trc = _BT_709, _BT_709
         number = 0
         for picture, frames in _pictures(programme):
-            picture = np.pad(picture, [(0, 1)] * 2, mode="edge")[:height, :width]
+            picture = np.pad(programme.grid.sample(picture), [(0, 1)] * 2, mode="edge")[:height, :width]
             luma = np.rint(_BLACK_LEVEL + picture * (_LEVELS / 255)).astype(np.uint8)
             planes = np.concatenate([luma, np.full((height // 2, width), _NO_COLOUR, np.uint8)])
             for _ in range(frames):

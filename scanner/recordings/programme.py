@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from calib.geometry import Size
+from calib.geometry import SQUARE_PIXELS, PixelGrid, Size
 from scanner.errors import InputError
 from scanner.io import Entry, Number, Whole, read_yaml, validate
 from scanner.patterns import FORMAT, Pattern, PatternEntry, pattern_to_dict
@@ -32,6 +32,8 @@ LEAD_IN_S, LEAD_OUT_S = 2.0, 1.0  # black: players show their buttons at the beg
 class Programme:
     """Patterns for a projector of `size`, each shown for `hold_s`, all of them there and back `loops` times.
 
+    `size` and patterns are in square pixels, those of the video form a `grid`.
+
     Raises ValueError for a duration or a number of loops that no video has.
     """
 
@@ -39,6 +41,7 @@ class Programme:
     size: Size
     hold_s: float
     loops: int
+    grid: PixelGrid = SQUARE_PIXELS
 
     def __post_init__(self) -> None:
         _require_duration(self.hold_s)
@@ -100,7 +103,9 @@ class Programme:
         return {"file": file, "frames_per_second": FRAMES_PER_SECOND, "hold_s": self.hold_s, "loops": self.loops}
 
 
-def programme_of(patterns: Sequence[Pattern], size: Size, hold_s: float, loops: int) -> Programme:
+def programme_of(
+    patterns: Sequence[Pattern], size: Size, hold_s: float, loops: int, grid: PixelGrid = SQUARE_PIXELS
+) -> Programme:
     """Return a schedule whose pictures last a whole number of video frames, and `hold_s` at least. Raises ValueError.
 
     The number of frames is odd: a camera at half the frame rate then meets changes at two phases of its frames.
@@ -108,7 +113,7 @@ def programme_of(patterns: Sequence[Pattern], size: Size, hold_s: float, loops: 
     """
     _require_duration(hold_s)
     frames = ceil(hold_s * FRAMES_PER_SECOND - 1e-6) | 1
-    return Programme(tuple(patterns), size, frames / FRAMES_PER_SECOND, loops)
+    return Programme(tuple(patterns), size, frames / FRAMES_PER_SECOND, loops, grid)
 
 
 def _require_duration(hold_s: float) -> None:
@@ -133,6 +138,7 @@ class _Video(Entry):
 class _SequenceEntry(Entry):
     format: Whole = Field(ge=FORMAT, le=FORMAT)
     projector: _Sides
+    pixel_aspect: Number = Field(default=1.0, gt=0)
     frames: list[_Shown] = Field(min_length=1)
     video: _Video
 
@@ -145,8 +151,7 @@ def read_programme(path: Path) -> Programme:
     entry = validate(_SequenceEntry, data, str(path))
     patterns = tuple(shown.pattern.pattern() for shown in entry.frames)
     try:
-        return Programme(
-            patterns, Size(entry.projector.width, entry.projector.height), entry.video.hold_s, entry.video.loops
-        )
+        size = Size(entry.projector.width, entry.projector.height)
+        return Programme(patterns, size, entry.video.hold_s, entry.video.loops, PixelGrid(entry.pixel_aspect))
     except ValueError as error:
         raise InputError(f"{path}: video: {error}") from error

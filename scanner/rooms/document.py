@@ -55,7 +55,7 @@ def _stations_in(path: Path) -> list[Path]:
 
 
 def _decoded(path: Path, config: Config, progress: Progress, calibration: Calibration | None) -> Decoded:
-    recording = open_capture(path)
+    recording = open_capture(path).in_square_pixels(config.projector.grid)
     config.refuse_other_sizes(path, recording.camera_size, recording.projector_size)
     return decode_recording(recording, progress, calibration)
 

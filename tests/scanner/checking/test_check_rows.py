@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from calib.geometry import PixelGrid
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Rig, exposure_control
@@ -178,7 +179,7 @@ def test_the_contrast_of_single_pixels_is_measured(
     light = photograph_light(rig, 6, 4)
     ramp = measure_ramp(rig, light)
     assert ramp is not None
-    found = pixel_row(rig, light, ramp)
+    found = pixel_row(rig, PixelGrid(), light, ramp)
     assert found is not None
     percent, *_ = re.findall(r"(\d+) %", found.finding.message)
     assert 100 * least < float(percent) < 100 * most

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calib.geometry import PixelGrid
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor, in_square_pixels
 
 AXES = st.sampled_from(["x", "y"])
@@ -18,7 +19,7 @@ PATTERNS = st.one_of(st.just(White()), st.just(Black()), GRAY, XOR, PHASE)
 @given(pattern=PATTERNS, aspect=st.sampled_from([0.25, 0.5, 1.0, 2.0]))
 def test_each_pixel_shows_the_same_in_as_many_square_ones(pattern: Pattern, aspect: float) -> None:
     size = (96, 64)
-    (stretched,), (width, height) = in_square_pixels([pattern], size, aspect)
+    (stretched,), (width, height) = in_square_pixels([pattern], size, PixelGrid(aspect))
     across, down = round(max(1, 1 / aspect)), round(max(1, aspect))
     assert (width, height) == (across * size[0], down * size[1])
     # Where their centre is, in square pixels.
@@ -35,4 +36,4 @@ def test_each_pixel_shows_the_same_in_as_many_square_ones(pattern: Pattern, aspe
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_square_pixels_stay(axis: Axis) -> None:
     patterns: list[Pattern] = [Gray(axis, 3, 8, 2, 16), Phase(axis, 20.0, 0.25)]
-    assert in_square_pixels(patterns, (192, 108), 1.0) == (tuple(patterns), (192, 108))
+    assert in_square_pixels(patterns, (192, 108), PixelGrid()) == (tuple(patterns), (192, 108))
