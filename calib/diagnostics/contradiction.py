@@ -1,8 +1,12 @@
 """Tests whether captures of a corner and prior knowledge of the rig are consistent with one unchanged rig."""
 
+from collections.abc import Mapping
+from itertools import combinations
+
 import numpy as np
 from scipy.special import chdtri
 
+from calib.diagnostics.uncertainty import Uncertainty
 from calib.finding import FindingKind
 from calib.numerics import Bools, Floats
 from calib.refinement import (
@@ -36,7 +40,7 @@ RIG_CHANGED = FindingKind(
     "rig-changed",
     "The rig changed between captures that were calibrated together, or between captures and boards.",
     "Calibrate from either alone, or capture both again without refocusing, zooming or moving a device.",
-    ("cost", "limit"),
+    ("cost", "limit", "first", "second"),
 )
 
 
@@ -61,12 +65,38 @@ def refuse_contradiction(refinement: Refinement, rig: KnownRig, systematic: Floa
             RIG_CHANGED,
             f"The rig changed between these captures and the boards: fitted together, −2 log likelihood is higher by "
             f"{raised:.0f}, where chance explains at most {limit:.0f}. Fitted separately, they differ in "
-            f"{_differences(apart, refinement.prior.free, rig)}.",
+            f"{_differences_from(rig, apart, refinement.prior.free)}.",
             "Something was refocused, zoomed or moved between the two: calibrate from either alone, or capture both "
             "again without a change.",
             {"cost": raised, "limit": limit},
         )
     return raised, limit
+
+
+def refuse_changed_rig(alone: Mapping[int, Uncertainty]) -> None:
+    """Compare fits of captures, each alone, by their numbers from 0, with the sum of their covariances.
+
+    Raises ContradictionError for the two that differ most, if chance does not explain that (0.9999). Priors count in
+    both covariances, as if they were independent, so that differences are rather taken for smaller than they are.
+    """
+    limit = float(chdtri(SHARED, 1 - _SIGNIFICANT))
+    worst: tuple[float, int, int, str] | None = None
+    for (first, one_fit), (second, another_fit) in combinations(alone.items(), 2):
+        covariance = one_fit.covariance + another_fit.covariance
+        rig = KnownRig(one_fit.state, covariance)
+        step = rig.step_to(another_fit.rig)
+        cost = float(step @ rig.precision @ step)
+        if cost > (limit if worst is None else worst[0]):
+            worst = cost, first + 1, second + 1, _likeliest_change(rig, step, limit)
+    if worst is not None:
+        cost, first, second, change = worst
+        raise ContradictionError(
+            RIG_CHANGED,
+            f"The rig changed between captures {first} and {second}: each is fine alone, but together they are not of "
+            f"one rig. {change}.",
+            "Something was refocused, zoomed or moved between the two: calibrate from captures of one unchanged rig.",
+            {"cost": cost, "limit": limit, "first": float(first), "second": float(second)},
+        )
 
 
 def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
@@ -85,16 +115,44 @@ def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
     return factor * float(chdtri(float(np.sum(widths)) ** 2 / float(np.sum(widths**2)), 1 - _SIGNIFICANT))
 
 
-def _differences(apart: Fit, free: Bools, rig: KnownRig) -> str:
-    """The largest differences, in sigmas, between the independent fit and the known rig, in words."""
-    step = rig.step_to(apart.state)
+def _likeliest_change(rig: KnownRig, step: Floats, limit: float) -> str:
+    """The parameter that explains a step (21,) best if it alone has changed, in words.
+
+    Most parameters are known too little by themselves for a difference to show; their combination is not.
+    """
+    pull = rig.precision @ step
+    left, text = np.inf, ""
+    for name, columns, unit in _ROWS:
+        chosen = list(columns)
+        change = np.linalg.solve(rig.precision[np.ix_(chosen, chosen)], pull[chosen])
+        explained = float(change @ pull[chosen])
+        if float(step @ pull) - explained < left:
+            left = float(step @ pull) - explained
+            text = f"{_amount(name, change, unit)} ({np.sqrt(max(explained, 0.0)):.0f} sigmas)"
+    if left > limit:
+        return f"Most of it is explained by a change of {text}, but not all"
+    return f"A change of {text} explains it"
+
+
+def _amount(name: str, change: Floats, unit: str) -> str:
+    """A parameter and how much it differs, in words."""
+    size = float(np.linalg.norm(change)) * {"%": 100.0, "°": 180 / np.pi}.get(unit, 1.0)
+    return f"{name} by {size:.2g}{' ' if unit not in ('', '°') else ''}{unit}"
+
+
+def _differences_from(rig: KnownRig, apart: Fit, free: Bools) -> str:
+    """The same between the known rig and the independent fit."""
     variance = rig.covariance.diagonal() + covariance_of(apart.information, free).diagonal()[:SHARED]
+    return _differences(rig.step_to(apart.state), variance)
+
+
+def _differences(step: Floats, variance: Floats) -> str:
+    """The parameters that differ by most sigmas, in words, by a step (21,) with its variance (21,)."""
     sigmas = np.abs(step) / np.sqrt(np.maximum(variance, 1e-18))
     rows = []
     for name, columns, unit in _ROWS:
         chosen = list(columns)
-        size = float(np.linalg.norm(step[chosen])) * {"%": 100.0, "°": 180 / np.pi}.get(unit, 1.0)
         worst = float(sigmas[chosen].max())
-        rows.append((worst, f"{name} by {size:.2g}{' ' if unit not in ('', '°') else ''}{unit} ({worst:.1f} sigmas)"))
+        rows.append((worst, f"{_amount(name, step[chosen], unit)} ({worst:.1f} sigmas)"))
     rows.sort(reverse=True)
     return ", ".join(text for _, text in rows[:_NAMED])

@@ -7,12 +7,11 @@ a pixel shows is the mean of a picture in square pixels over its area.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.geometry.camera import Size
 from calib.numerics import Floats, Image
 
-_Values = NDArray[np.uint8] | Floats
+_Values = Image | Floats
 
 
 @dataclass(frozen=True)
@@ -44,10 +43,10 @@ class PixelGrid:
         if self == SQUARE_PIXELS:
             return picture
         (width, height), (across, down) = self.device_size(Size.of(picture)), self.square_per_pixel
-        rows = _means_between(picture.T, down * np.arange(height + 1)).T
+        rows = _means_between(picture.T, down * np.arange(height + 1.0)).T
         sampled = np.empty((height, width), np.uint8)
         for first, aside in enumerate((0.0, self.odd_rows)):
-            sampled[first::2] = np.rint(_means_between(rows[first::2], across * (np.arange(width + 1) + aside)))
+            sampled[first::2] = np.rint(_means_between(rows[first::2], across * (np.arange(width + 1.0) + aside)))
         return sampled
 
     def spread(self, picture: Image) -> Image:
@@ -58,7 +57,8 @@ class PixelGrid:
         row = ((np.arange(height) + 0.5) / down).astype(np.intp).clip(0, len(picture) - 1)
         aside = np.where(row % 2 == 1, self.odd_rows, 0.0)
         column = np.floor((np.arange(width) + 0.5) / across - aside[:, None]).astype(np.intp)
-        return picture[row[:, None], column.clip(0, picture.shape[1] - 1)]
+        light: Image = picture[row[:, None], column.clip(0, picture.shape[1] - 1)]
+        return light
 
 
 SQUARE_PIXELS = PixelGrid()

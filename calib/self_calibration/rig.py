@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.closed_form import Objective, objective_for, search
 from calib.diagnostics import (
+    ContradictionError,
     NextView,
     Uncertainty,
     along_valley,
@@ -15,6 +16,7 @@ from calib.diagnostics import (
     calibration_of,
     findings_on_solution,
     no_corner,
+    refuse_changed_rig,
     refuse_contradiction,
     refuse_degenerate,
     refuse_untrustworthy,
@@ -236,6 +238,37 @@ def self_calibrate_jointly(
         return _by_refinement(captures, knowledge, same=same, planes=planes, shifts=shifts, known=known)
     except TooFewMatchesError as error:
         raise _too_few(error) from error
+    except RefusalError as refusal:
+        if len(captures) > 1 and known is None:
+            _blame_changed_rig(captures, knowledge, planes, shifts, refusal)
+        raise
+
+
+def _blame_changed_rig(
+    captures: Sequence[Matches],
+    knowledge: Knowledge,
+    planes: Sequence[Ints] | None,
+    shifts: Sequence[Shifts],
+    refusal: RefusalError,
+) -> None:
+    """Raise ContradictionError from the refusal of all captures together if those that are fine alone are not of one
+    rig.
+    """
+    alone: dict[int, Uncertainty] = {}
+    for number, matches in enumerate(captures):
+        own_planes, own_shifts = None if planes is None else [planes[number]], shifts[number : number + 1]
+        try:
+            (calibrated,) = _by_refinement(
+                [matches], knowledge, same=True, planes=own_planes, shifts=own_shifts, known=None
+            )
+        except (RefusalError, TooFewMatchesError):
+            continue
+        if calibrated.uncertainty is not None:
+            alone[number] = calibrated.uncertainty
+    try:
+        refuse_changed_rig(alone)
+    except ContradictionError as contradiction:
+        raise contradiction from refusal
 
 
 def _knowing(knowledge: Knowledge, known: KnownCalibration) -> Knowledge:

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib.diagnostics.contradiction import _differences
+from calib.diagnostics.contradiction import _differences_from
 from calib.refinement import SHARED, Fit, KnownRig
 from tests.support.known_rigs import before
 
@@ -25,7 +25,7 @@ def words_of(column: int, sigmas: float) -> str:
     step[column] = sigmas * np.sqrt(rig.covariance[column, column])
     information = np.diag(np.full(SHARED, SIGMA**-2))
     fit = Fit(0.0, np.zeros(SHARED), information, rig.state.moved(step), ())
-    return _differences(fit, np.ones(SHARED, np.bool_), rig)
+    return _differences_from(rig, fit, np.ones(SHARED, np.bool_))
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,13 @@
 """Several captures of one rig: one corner or several, faces in any order, no prior knowledge."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from calib.diagnostics.contradiction import RIG_CHANGED
 from calib.geometry import Matches
 from calib.refinement import shared_corner
 from calib.refusal import RefusalError
@@ -60,6 +62,27 @@ def test_two_captures_of_one_corner_measure_its_angles() -> None:
     true = captures[0].corner.angles_deg
     assert min(np.abs(np.sort(angles[0]) - np.sort(true))) < 0.05
     assert np.abs(np.sort(angles[0]) - np.sort(true)).max() < 0.15
+
+
+@pytest.mark.parametrize(
+    ("device", "name"), [("projector", "the projector's focal length"), ("camera", "the camera's focal length")]
+)
+def test_captures_of_two_rigs_name_what_differs(device: str, name: str) -> None:
+    zoomed = replace(RIG[device], focal_px=tuple(1.02 * focal for focal in RIG[device].focal_px))
+    first, again = random_captures(np.random.default_rng(40), 2, walls_off_deg=0.3, count=5_000, **RIG)
+    _, second = random_captures(np.random.default_rng(40), 2, walls_off_deg=0.3, count=5_000, **RIG | {device: zoomed})
+    for capture in (first, second):
+        assert _calibrate([capture], CENTRE)
+    with pytest.raises(RefusalError) as caught:
+        _calibrate([first, again, second], CENTRE)
+    finding = caught.value.finding
+    assert finding.kind == RIG_CHANGED
+    assert {finding.data["first"], finding.data["second"]} in ({1.0, 3.0}, {2.0, 3.0})
+    found = re.search(r"change of (.*) by ([\d.]+) % \((\d+) sigmas\)", finding.message)
+    assert found
+    assert found[1] == name
+    assert 1.9 < float(found[2]) < 2.1
+    assert 50 < float(found[3]) < 2000
 
 
 def test_captures_that_no_common_corner_fits_get_angles_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
