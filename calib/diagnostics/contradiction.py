@@ -124,7 +124,7 @@ def _likeliest_change(rig: KnownRig, step: Floats, limit: float) -> str:
     left, text = np.inf, ""
     for name, columns, unit in _ROWS:
         chosen = list(columns)
-        change = np.linalg.solve(rig.precision[np.ix_(chosen, chosen)], pull[chosen])
+        change = np.asarray(np.linalg.solve(rig.precision[np.ix_(chosen, chosen)], pull[chosen]), np.float64)
         explained = float(change @ pull[chosen])
         if float(step @ pull) - explained < left:
             left = float(step @ pull) - explained

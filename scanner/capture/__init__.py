@@ -2,7 +2,7 @@
 
 from scanner.capture.capture_metadata import SMOOTH_KEY, CaptureMetadata, identity, with_smooth_errors_of_film
 from scanner.capture.recorder import CAPTURE_FILE, record
-from scanner.capture.recording import Recording, open_capture
+from scanner.capture.recording import Recording, capture_above, open_capture
 from scanner.capture.resuming import take_up
 from scanner.capture.rig_placement import check_places, next_place
 from scanner.capture.single_pixels import (

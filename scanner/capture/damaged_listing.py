@@ -1,4 +1,4 @@
-"""Read the listing of a recording that was broken off while its last line was being written."""
+"""Read the listing of a recording that was broken off while its last line was being written, or that lacks files."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -10,6 +10,7 @@ from scanner.capture.recorder import frame_file
 from scanner.errors import InputError
 from scanner.io import Entry, parse_mapping, read_image, read_text, validate
 from scanner.patterns import Pattern, PatternEntry
+from scanner.shown_text import shown
 
 # Of our own listings: beginnings of a line without a bracket yet, and lines that are whole when the last one is closed.
 _BEGUN = re.compile(r" *-? ?|\w[\w ]*")
@@ -20,6 +21,13 @@ BROKEN_OFF = FindingKind(
     "The recording was broken off while it was being written; what was incomplete is left out.",
     "Complete the capture with scan --resume, or capture again.",
 )
+MISSING_FILES = FindingKind(
+    "missing-files",
+    "Files of listed frames are missing; the capture was decoded without them.",
+    "Copy the whole capture once more, or capture again.",
+    ("files",),
+)
+_MOST_NAMED = 3
 
 
 class _PlanEntry(Entry):
@@ -42,6 +50,13 @@ def read_listing(path: Path) -> tuple[dict[str, Any], tuple[Finding, ...]]:
 def left_out(message: str) -> Finding:
     """A warning about what is incomplete in a recording."""
     return Finding(BROKEN_OFF, Severity.WARNING, message)
+
+
+def missing_files(files: Sequence[str]) -> Finding:
+    """A warning about files that are listed and not there."""
+    named = ", ".join(map(shown, files[:_MOST_NAMED])) + (" and others" if len(files) > _MOST_NAMED else "")
+    message = f"Of the listed frames {len(files)} {'is' if len(files) == 1 else 'are'} missing, and left out: {named}."
+    return Finding(MISSING_FILES, Severity.WARNING, message, MISSING_FILES.remedy, {"files": float(len(files))})
 
 
 def _is_damaged(last: str) -> bool:

@@ -14,12 +14,12 @@ from scanner.capture.stream import Stream
 from scanner.io import flow_yaml, sync, sync_open, write_png
 from scanner.patterns import FORMAT, Pattern, frame_line, pattern_to_dict, size_to_dict
 
-CAPTURE_FILE = "capture.yaml"
+CAPTURE_FILE, FRAMES_FOLDER = "capture.yaml", "frames"
 
 
 def frame_file(index: int) -> str:
     """Return the path of a frame's image within a recording, relative to its folder."""
-    return f"frames/{index:03d}.png"
+    return f"{FRAMES_FOLDER}/{index:03d}.png"
 
 
 def record(stream: Stream, folder: Path) -> Stream:
@@ -35,7 +35,7 @@ def record(stream: Stream, folder: Path) -> Stream:
 
 
 def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
-    (folder / "frames").mkdir(parents=True)
+    (folder / FRAMES_FOLDER).mkdir(parents=True)
     with (folder / CAPTURE_FILE).open("wb", buffering=0) as listing, _Syncing() as syncing:
         _append(listing, _keys(_header(stream)) + _sequence(stream.patterns) + "frames:\n")
         sync(folder)
@@ -43,7 +43,7 @@ def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
             file = frame_file(index)
             syncing.wait()
             _write_both(listing, frame_line(file, pattern, **_read_back(frame)), folder / file, frame)
-            syncing.begin([folder / file, folder / "frames", folder / CAPTURE_FILE])
+            syncing.begin([folder / file, folder / FRAMES_FOLDER, folder / CAPTURE_FILE])
             yield pattern, frame
         _append(listing, _keys(stream.account()))
         syncing.wait()

@@ -12,8 +12,15 @@ from calib.finding import Finding
 from calib.geometry import PixelGrid, Size
 from calib.numerics import Image
 from hw.rig import Frame
-from scanner.capture.damaged_listing import damaged_image, left_out, planned_patterns, read_listing, unlisted
-from scanner.capture.recorder import CAPTURE_FILE
+from scanner.capture.damaged_listing import (
+    damaged_image,
+    left_out,
+    missing_files,
+    planned_patterns,
+    read_listing,
+    unlisted,
+)
+from scanner.capture.recorder import CAPTURE_FILE, FRAMES_FOLDER
 from scanner.capture.stream import Stream
 from scanner.errors import InputError
 from scanner.io import (
@@ -172,12 +179,13 @@ def open_capture(path: Path) -> Recording:
     """Read and check the listing of a capture folder (or the path of its `capture.yaml`).
 
     What was being written when a recording was broken off is left out: a torn last line, a last frame that is missing
-    or damaged, the image that was to be listed next.
+    or damaged, the image that was to be listed next. So are listed files that are missing, unless all are. `path` may
+    also be the folder of the frames.
 
-    Raises InputError for a missing or malformed listing, an unknown pattern, a file listed twice, a file that is
-    missing or outside the folder, and an image beside the frames that is not listed.
+    Raises InputError for a missing or malformed listing, an unknown pattern, a file listed twice, a file outside the
+    folder, and an image beside the frames that is not listed.
     """
-    folder = path.parent if path.name == CAPTURE_FILE else path
+    folder = path.parent if path.name == CAPTURE_FILE else capture_above(path) or path
     listing = _listing_in(folder)
     data, findings = read_listing(listing)
     entry = validate(_CaptureEntry, data, str(listing))
@@ -185,9 +193,15 @@ def open_capture(path: Path) -> Recording:
     if len(frames) > 1 and (torn := damaged_image(folder, frames[-1].file)):
         unread.add((folder / frames[-1].file).resolve())
         frames, findings = frames[:-1], (*findings, torn)
-    files = tuple(frame.file for frame in frames)
+    by_file = [(frame, _frame_path(listing, frame.file)) for frame in frames]
+    missing = [frame.file for frame, path in by_file if not path.exists()]
+    if len(missing) == len(by_file):
+        raise InputError(f"{listing}: frame {shown(missing[0])} is missing, as are all others")
+    if missing:
+        by_file = [(frame, path) for frame, path in by_file if path.exists()]
+        frames, findings = [frame for frame, _ in by_file], (*findings, missing_files(missing))
+    files, paths = tuple(frame.file for frame in frames), tuple(path for _, path in by_file)
     patterns = tuple(frame.pattern.pattern() for frame in frames)
-    paths = tuple(_frame_path(listing, file) for file in files)
     _refuse_repeats(listing, paths, "shows the file", files)
     planned = planned_patterns(data, patterns)
     if len(planned) > len(patterns) and (extra := unlisted(folder, len(entry.frames))):
@@ -205,6 +219,14 @@ def open_capture(path: Path) -> Recording:
         planned,
         findings,
     )
+
+
+def capture_above(frames: Path) -> Path | None:
+    """The capture of which a folder holds the frames; None if it is none, or a capture itself."""
+    folder = frames.absolute().parent
+    if (frames / CAPTURE_FILE).exists() or frames.name != FRAMES_FOLDER or not (folder / CAPTURE_FILE).is_file():
+        return None
+    return folder if frames.is_absolute() or len(frames.parts) < 2 else frames.parent
 
 
 def _listing_in(folder: Path) -> Path:
@@ -227,20 +249,21 @@ def _listing_in(folder: Path) -> Path:
 
 
 def _frame_path(listing: Path, file: str) -> Path:
-    """Return the real path of a listed frame. It must be a file inside the capture folder, after links are resolved."""
+    """The real path of a listed frame, which is inside the capture folder after links are resolved, and is a file if it
+    exists.
+    """
     if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file:
         raise InputError(f"{listing}: frame {shown(file)} must be a path inside the capture folder")
     root = listing.parent.resolve()
     try:
         path = (root / file).resolve()
-        state = "is no file" if path.exists() else "is missing"
-        is_file = path.is_file()
+        is_something_else = path.exists() and not path.is_file()
     except (OSError, RuntimeError) as error:  # a name that is too long, links in a circle
         raise InputError(f"{listing}: frame {shown(file)} cannot be found: {error}") from error
     if not path.is_relative_to(root):
         raise InputError(f"{listing}: frame {shown(file)} is a link that leads out of the capture folder")
-    if not is_file:
-        raise InputError(f"{listing}: frame {shown(file)} {state}")
+    if is_something_else:
+        raise InputError(f"{listing}: frame {shown(file)} is no file")
     return path
 
 

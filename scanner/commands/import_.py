@@ -6,12 +6,14 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 from rich import box
 from rich.markup import escape
 from rich.table import Table
 
 from calib.geometry import SQUARE_PIXELS, PixelGrid
+from scanner.capture import CAPTURE_FILE, capture_above, open_capture
 from scanner.commands import import_recording
 from scanner.decoding import describe_copies
 from scanner.errors import InputError
@@ -46,6 +48,9 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
     if args.sequence is not None or args.folder.is_file():
         import_recording.run(args)
+        return
+    if (above := capture_above(args.folder)) is not None:
+        _copy_own(above, args)
         return
     cell = _number(args.cell, "--cell", "a number of pixels", _MOST_CELL_PX)
     given = Given(_size(args.projector), cell, periods=_periods(args.periods))
@@ -90,6 +95,22 @@ def run(args: Namespace) -> None:
     terminal.show(
         f"{len(chosen.files)} frames and capture.yaml are in {args.out}", f"→ scan replay {args.out} reconstructs it."
     )
+
+
+def _copy_own(capture: Path, args: Namespace) -> None:
+    """Frames of a capture of this program's, whose `capture.yaml` says what they show."""
+    given = import_recording.given_of_frames(args)
+    listing = capture / CAPTURE_FILE
+    if given:
+        raise InputError(f"{listing} says what the frames show: leave out {', '.join(given)}")
+    recording = open_capture(capture)
+    terminal = Terminal(quiet=args.quiet)
+    projector = _shown(recording.projector_size)
+    terminal.show(f"{len(recording.files)} frames are listed in {listing}: {projector}", *map(str, recording.findings))
+    if args.out is not None:
+        with OutputFolder(args.out) as output:
+            recording.copy_to(output.folder)
+    terminal.show(f"→ scan replay {args.out or capture} reconstructs them.")
 
 
 def _ratio(text: str) -> float:

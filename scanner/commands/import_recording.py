@@ -10,9 +10,14 @@ from scanner.ui import Terminal
 _OF_FRAMES = ("from", "projector", "cell", "periods", "frames", "order", "flip", "pixel_aspect")
 
 
+def given_of_frames(args: Namespace) -> list[str]:
+    """The given options that say what frames of unknown order show."""
+    return [f"--{option.replace('_', '-')}" for option in _OF_FRAMES if getattr(args, option) is not None]
+
+
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
-    given = [f"--{option.replace('_', '-')}" for option in _OF_FRAMES if getattr(args, option) is not None]
+    given = given_of_frames(args)
     if given:
         raise InputError(f"{', '.join(given)}: only for a folder of frames, not for a recording")
     if args.sequence is None:

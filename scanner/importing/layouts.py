@@ -6,7 +6,7 @@ from pathlib import Path
 from scanner.importing.layout import FrameLayout, Given, SequenceOf, Size
 from scanner.importing.orders import fringe, gray_bits, other_gray_orders, pairs, with_ends, x_and_y
 from scanner.io import read_text
-from scanner.patterns import Axis, Black, Gray, Pattern, White, count_bits
+from scanner.patterns import PRESETS, Axis, Black, Gray, Pattern, White, count_bits
 
 
 def _moreno_taubin(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
@@ -112,9 +112,27 @@ def _sltk_names(files: tuple[Path, ...]) -> tuple[Pattern, ...]:
     )
 
 
+def _standard(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
+    """This program's own sequence of that name."""
+    del cell, frames
+    return PRESETS["standard"].patterns(size)
+
+
+def _quick(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
+    """This program's own sequence of that name."""
+    del cell, frames
+    return PRESETS["quick"].patterns(size)
+
+
 _BOTH: tuple[tuple[Axis, ...], ...] = (("x", "y"), ("x",), ("y",))
 
 LAYOUTS = (
+    FrameLayout(
+        "scan",
+        "This program's standard and quick sequences",
+        "docs/formats.md",
+        (_standard, _quick),
+    ),
     FrameLayout(
         "opencv",
         "OpenCV GrayCodePattern",

@@ -31,8 +31,10 @@ def write_player_video(path: Path, programme: Programme) -> None:
         context.color_primaries, context.color_trc = _BT_709, _BT_709
         number = 0
         for picture, frames in _pictures(programme):
-            picture = np.pad(programme.grid.sample(picture), [(0, 1)] * 2, mode="edge")[:height, :width]
-            luma = np.rint(_BLACK_LEVEL + picture * (_LEVELS / 255)).astype(np.uint8)
+            padded = np.pad(np.asarray(programme.grid.sample(picture), np.float64), [(0, 1)] * 2, mode="edge")[
+                :height, :width
+            ]
+            luma = np.rint(_BLACK_LEVEL + padded * (_LEVELS / 255)).astype(np.uint8)
             planes = np.concatenate([luma, np.full((height // 2, width), _NO_COLOUR, np.uint8)])
             for _ in range(frames):
                 frame = library.VideoFrame.from_ndarray(planes, format="yuv420p")

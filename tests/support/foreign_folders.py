@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.numerics import Image
 from scanner.commands import main
-from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
+from scanner.patterns import PRESETS, Axis, Black, Gray, Pattern, Phase, White
 from tests.support.foreign_captures import ENDS, bits, deep, in_colour, named, steps
 
 # A projector that is often met, and of which none shows the same in longer cells, so that its size is recognised.
@@ -87,6 +87,8 @@ class Foreign:
 
 
 FOREIGN = {
+    "this program's standard": Foreign("scan", [*PRESETS["standard"].patterns(PROJECTOR)], named("{:03d}.png")),
+    "this program's quick": Foreign("scan", [*PRESETS["quick"].patterns(PROJECTOR)], named("{:03d}.png")),
     "opencv": Foreign("opencv", [*PAIRS, *ENDS], named("pattern_cam1_im{}.png", 1)),
     "opencv, black and white first": Foreign("opencv", [Black(), White(), *PAIRS], named("{}.tif"), change=deep),
     "opencv, without": Foreign("opencv", PAIRS, named("IMG_{:05d}.JPG", 997), change=in_colour),

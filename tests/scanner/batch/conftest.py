@@ -11,7 +11,7 @@ from tests.support.small_capture import CONFIG
 
 @pytest.fixture(scope="session")
 def museum(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two captures of a room, a dark one that is refused, one whose frame is missing, and the configuration."""
+    """Two captures of a room, a dark one that is refused, one whose frames are missing, and the configuration."""
     folder = tmp_path_factory.mktemp("museum")
     (folder / "room.yaml").write_text(CONFIG)
     scans, scan = folder / "scans", ("--config", str(folder / "room.yaml"), "--quiet", "--out")
@@ -20,5 +20,6 @@ def museum(tmp_path_factory: pytest.TempPathFactory) -> Path:
     captures = folder / "captures"
     for name, source in (("hall/one", "one"), ("hall/two", "one"), ("dark", "dark"), ("broken", "one")):
         shutil.copytree(scans / source / "capture", captures / name)
-    (captures / "broken" / "frames" / "003.png").unlink()
+    for path in (captures / "broken" / "frames").iterdir():
+        path.unlink()
     return folder

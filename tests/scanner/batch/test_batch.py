@@ -75,7 +75,7 @@ def test_a_batch_from_the_command_line(done: Done, capsys: pytest.CaptureFixture
         "hall/one": ("0", "fair"),
         "hall/two": ("0", "fair"),
     }
-    assert "frames/003.png' is missing" in rows["broken"]["reason"]
+    assert "frames/000.png' is missing" in rows["broken"]["reason"]
     found = read_calibration(out / "results/hall/one/calibration.yaml")
     assert float(rows["hall/one"]["camera_focal_px"]) == found.camera.focal_px[0]
     assert not (out / "results/hall/one/capture").exists()

@@ -15,6 +15,7 @@ import pytest
 from hw.errors import DeviceError
 from hw.rig import Frame
 from scanner.capture import recorder
+from scanner.capture.damaged_listing import MISSING_FILES
 from scanner.capture.recorder import record
 from scanner.capture.recording import open_capture
 from scanner.capture.stream import Stream
@@ -241,6 +242,11 @@ def link_in_a_circle(folder: Path) -> None:
     (folder / "frames/004.png").symlink_to("004.png")
 
 
+def empty_frames(folder: Path) -> None:
+    for path in (folder / "frames").iterdir():
+        path.unlink()
+
+
 def only_a_sequence(folder: Path) -> None:
     (folder / "capture.yaml").rename(folder / "sequence.yaml")
 
@@ -266,7 +272,7 @@ BROKEN = [
     Broken("no camera", listing_with(lambda x: x.pop("camera")), ("'camera' is missing",)),
     Broken("no frames", listing_with(lambda x: x.update(frames=[])), ("'frames'", "at least 1")),
     Broken("no size", listing_with(lambda x: x["camera"].update(width=0)), ("camera.width", "greater than", "0")),
-    Broken("missing frame", lambda folder: (folder / "frames/004.png").unlink(), ("frames/004.png", "missing")),
+    Broken("missing frames", empty_frames, ("frames/000.png", "is missing, as are all others")),
     Broken("folder as frame", first_file("frames"), ("'frames'", "is no file")),
     Broken("path out", first_file("../secret.png"), ("../secret.png", "inside the capture folder")),
     Broken("detour out", first_file("frames/../../secret.png"), ("inside the capture folder",)),
@@ -275,7 +281,7 @@ BROKEN = [
     Broken("folder linked out", link_folder_out, ("000.png", "leads out")),
     Broken("circular link", link_in_a_circle, ("004.png",)),
     Broken("endless name", first_file("x" * 5000), ("cannot be found",)),
-    Broken("null in name", first_file("a\0b"), ("a�b", "is missing")),
+    Broken("null in name", first_file("a\0b"), ("000.png", "is not listed")),
     Broken("number as name", first_file(7), ("frames[0].file", "string", "7")),
     Broken("same file twice", first_file("frames/001.png"), ("frame 1", "file", "frame 0")),
     Broken("unlisted frame", listing_with(lambda x: x["frames"].pop()), ("is not listed",)),
@@ -312,6 +318,27 @@ def test_a_malformed_capture_is_refused(capture_folder: Path, case: Broken) -> N
         read_all(capture_folder)
     for word in case.words:
         assert word in str(caught.value)
+
+
+def test_missing_files_are_left_out(capture_folder: Path) -> None:
+    whole = open_capture(capture_folder)
+    for number in (4, 7):
+        (capture_folder / whole.files[number]).unlink()
+    recording = open_capture(capture_folder)
+    assert recording.files == tuple(file for number, file in enumerate(whole.files) if number not in (4, 7))
+    assert recording.patterns == tuple(p for number, p in enumerate(whole.patterns) if number not in (4, 7))
+    (finding,) = recording.findings
+    assert (finding.kind, finding.data) == (MISSING_FILES, {"files": 2.0})
+    assert "'frames/004.png', 'frames/007.png'" in finding.message
+    assert len(list(recording.stream().frames)) == len(whole.files) - 2
+
+
+def test_the_folder_of_the_frames_is_that_capture(capture_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert open_capture(capture_folder / "frames") == open_capture(capture_folder)
+    monkeypatch.chdir(capture_folder)
+    assert open_capture(Path("frames")).files == open_capture(capture_folder).files
+    monkeypatch.chdir(capture_folder.parent)
+    assert open_capture(Path(capture_folder.name) / "frames").folder == Path(capture_folder.name)
 
 
 def test_floating_point_frames_are_refused(tmp_path: Path) -> None:
