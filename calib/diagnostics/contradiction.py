@@ -40,7 +40,7 @@ RIG_CHANGED = FindingKind(
     "rig-changed",
     "The rig changed between captures that were calibrated together, or between captures and boards.",
     "Calibrate from either alone, or capture both again without refocusing, zooming or moving a device.",
-    ("cost", "limit", "first", "second"),
+    ("cost", "limit", "captures"),
 )
 
 
@@ -95,7 +95,7 @@ def refuse_changed_rig(alone: Mapping[int, Uncertainty]) -> None:
             f"The rig changed between captures {first} and {second}: each is fine alone, but together they are not of "
             f"one rig. {change}.",
             "Something was refocused, zoomed or moved between the two: calibrate from captures of one unchanged rig.",
-            {"cost": cost, "limit": limit, "first": float(first), "second": float(second)},
+            {"cost": cost, "limit": limit, "captures": (first, second)},
         )
 
 

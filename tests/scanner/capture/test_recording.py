@@ -328,7 +328,7 @@ def test_missing_files_are_left_out(capture_folder: Path) -> None:
     assert recording.files == tuple(file for number, file in enumerate(whole.files) if number not in (4, 7))
     assert recording.patterns == tuple(p for number, p in enumerate(whole.patterns) if number not in (4, 7))
     (finding,) = recording.findings
-    assert (finding.kind, finding.data) == (MISSING_FILES, {"files": 2.0})
+    assert (finding.kind, finding.data) == (MISSING_FILES, {"missing_frames": 2.0})
     assert "'frames/004.png', 'frames/007.png'" in finding.message
     assert len(list(recording.stream().frames)) == len(whole.files) - 2
 
