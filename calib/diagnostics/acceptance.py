@@ -230,7 +230,7 @@ def _refuse_misfit(refinement: Refinement, words: Wording) -> None:
 def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
     worst = _skewest(refinement)
     if refinement.tension > float(chdtri(refinement.fit.state.off_square.size, 1 - _SIGNIFICANT)):
-        angles = "" if knowledge.squareness_deg == 0 else f" (they seem to be off by {signed(worst)} degrees)"
+        angles = "" if knowledge.squareness_deg == 0 else f" (they seem to be off by {named_angles(worst)})"
         raise RefusalError(
             NOT_SQUARE,
             f"The faces are not square to each other{angles}, where "
@@ -276,9 +276,10 @@ def _given_centre(knowledge: Knowledge) -> str:
     return f" Verify the camera's principal point, too: ({x:.0f}, {y:.0f}) was given as known{place}."
 
 
-def signed(values: Floats) -> str:
-    """Numbers with their signs, for a sentence; no sign before a rounded zero."""
-    return ", ".join(f"{value:+z.2f}".replace("+0.00", "0.00").replace("-", "−") for value in values)
+def named_angles(off_deg: Floats) -> str:
+    """By how much the angles (3,) between the faces are off, 'B–C +0.07°, …'; no sign before a rounded zero."""
+    signed = (f"{value:+z.2f}°".replace("+0.00", "0.00").replace("-", "−") for value in off_deg)
+    return ", ".join(f"{faces} {angle}" for faces, angle in zip(("B–C", "C–A", "A–B"), signed, strict=True))
 
 
 def _refuse_ambiguous(best: Fit, alternatives: Sequence[Fit], sigmas: Floats, words: Wording) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.diagnostics.acceptance import far_from_square, on_picture_scale, on_repeats, sigma_if, signed
+from calib.diagnostics.acceptance import far_from_square, named_angles, on_picture_scale, on_repeats, sigma_if
 from calib.diagnostics.next_best_view import NextView
 from calib.finding import Finding, FindingKind, Severity
 from calib.refinement import CAMERA, WEAK_TERMS, Knowledge, Refinement
@@ -55,7 +55,7 @@ FURTHER_CAPTURE = FindingKind(
 )
 SMOOTH_RESIDUALS = FindingKind(
     "smooth-residuals",
-    "Residuals vary smoothly over a face, as they do with lenses; the sigmas contain that.",
+    "The faces show small waves, as lenses make them; the sigmas contain that.",
     data=("captures", "inflation_ratio"),
 )
 OUTLIERS = FindingKind(
@@ -95,8 +95,8 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> Iterator[Fin
     yield Finding(
         OFF_SQUARE,
         Severity.NOTE,
-        f"The faces were allowed to be off square by {allowed_deg:g} degrees (1 sigma); they seem to be "
-        f"off by {'; '.join(map(signed, off))} degrees.",
+        f"The faces were allowed to be off square by {allowed_deg:g}° (1 sigma); they seem to be off by "
+        f"{'; '.join(map(named_angles, off))}.",
         data=angles,
     )
     if far_from_square(refinement, knowledge):
@@ -173,8 +173,7 @@ def _on_noise(refinement: Refinement, knowledge: Knowledge) -> Iterator[Finding]
             yield Finding(
                 SMOOTH_RESIDUALS,
                 Severity.NOTE,
-                f"{of}Residuals vary smoothly over a face, {ratio:.1f} times as much as independent matches would; the "
-                "sigmas contain that.",
+                f"{of}The faces show small waves ({ratio:.1f} × noise). Already in the ±; nothing to do.",
                 data={"captures": (i + 1,), "inflation_ratio": ratio},
             )
         if cells.rejected > 0.01:

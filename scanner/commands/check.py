@@ -4,7 +4,7 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-from scanner.checking import CheckReport, check_configured_rig, table_of, write_check
+from scanner.checking import CheckReport, CheckState, check_configured_rig, table_of, write_check
 from scanner.configuration import load_config, set_keys
 from scanner.results import refuse_occupied
 from scanner.ui import Terminal, keep_off_the_terminal
@@ -30,8 +30,9 @@ def run(args: Namespace) -> None:
         terminal.show(_write(args.config, report))
     if report.failure:
         raise report.failure
-    first = "first follow the arrows, then " if any(row.finding.advice for row in report.rows) else ""
-    terminal.show(f"→ {first}scan --config {args.config}")
+    poor = sum(row.state is CheckState.POOR for row in report.rows)
+    better = f"{poor} {'thing' if poor == 1 else 'things'} could be better; to scan anyway: " if poor else ""
+    terminal.show(f"→ {better}scan --config {args.config}")
 
 
 def _write(path: Path, report: CheckReport) -> str:

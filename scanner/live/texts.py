@@ -33,7 +33,7 @@ def advice(cloud: LiveCloud) -> Iterator[str]:
 def round_texts(cloud: LiveCloud | None, account: Account, unit: str) -> list[str]:
     """Texts about the newest round, with or without a cloud."""
     if cloud is None:
-        return ["No cloud: frames contradict each other, as where nearly everything moves. Hold still for a moment."]
+        return ["No cloud this time: the scene or the rig moved between frames. Waiting for it to rest."]
     left_out = cloud.share(MaskReason.INCONSISTENT, MaskReason.MOVED, MaskReason.ISOLATED)
     rate = f"{account.rate_hz:.1f} clouds a second" if account.rate_hz else "The first cloud"
     return [

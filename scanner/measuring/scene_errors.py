@@ -26,23 +26,24 @@ class KnownLengths:
     unit: str
     scale_sigma: float | None
     anchor: str
+    baselines: str
+    """What the unit of a result without a known length is."""
 
     @property
     def sentence(self) -> str:
-        """'1 m in the middle of this scene is known to ± 0.4 mm', and what that takes as exact."""
+        """'1000 mm in the middle of this scene are known to ± 0.4 mm', and what that takes as exact."""
         if self.unit == UNKNOWN_UNIT:
-            share = 100 * self.budget.sigma
             return (
-                f"Lengths in the middle of this scene are known to ± {_two_digits(share)} % relative to the baseline, "
-                "whose own length is not known."
+                f"No real length is known yet: sizes are in {self.baselines}, right to ± "
+                f"{_two_digits(100 * self.budget.sigma)} %. Give one length to get millimetres (scale.baseline_m)."
             )
         unit = shown_unit(self.unit)
         # The largest power of ten below the distance of the scene.
         length = 10.0 ** floor(log10(unit.factor * float(np.linalg.norm(self.middle))))
-        whole = f"{length / 1000:g} m" if unit.name == "mm" and length >= 1000 else f"{length:g} {unit.name}"
         exact = "" if self.scale_sigma else f", taking {self.anchor} that was given as exact"
         known = _two_digits(self.budget.sigma * length)
-        return f"{whole} in the middle of this scene is known to ± {known} {unit.name}{exact}."
+        whole = f"{plain(length, max(0, -round(log10(length))))} {unit.name}"
+        return f"{whole} in the middle of this scene are known to ± {known} {unit.name}{exact}."
 
 
 def _two_digits(value: float) -> str:
@@ -69,4 +70,5 @@ def known_lengths(points: Floats, errors: SystematicErrors) -> KnownLengths | No
         calibration.unit,
         calibration.sigma.known_baseline if to_corner is None else to_corner,
         "the baseline" if to_corner is None else "the distance from camera to corner",
+        "distances between the first two photos" if calibration.one_camera else "camera–projector distances",
     )

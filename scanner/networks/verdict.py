@@ -82,7 +82,7 @@ def verdict_on(network: SolvedNetwork) -> Verdict:
 
 
 def _together(network: SolvedNetwork) -> str:
-    return f"{len(network.estimate.names)} devices are one network"
+    return f"All {len(network.estimate.names)} devices fit together as one network"
 
 
 def _refusals(network: SolvedNetwork) -> Iterator[Finding]:

@@ -8,7 +8,7 @@ from calib.finding import Finding, FindingKind, Severity, without_kinds
 from calib.refusal import AMBIGUOUS
 from scanner.objects.contents import SolvedObject
 from scanner.quantities import shown_unit
-from scanner.results import Verdict
+from scanner.results import Verdict, fit_together
 from scanner.rooms import LOOSE_STATIONS
 
 _ADVICE = (
@@ -33,12 +33,11 @@ def verdict_on(solved: SolvedObject) -> Verdict:
     reasons, kinds = tuple(_reasons(solved)), tuple(finding.kind for finding in findings)
     if decisive is not None and decisive.kind == LOOSE_STATIONS:
         return Verdict("refused", decisive.message, reasons, decisive.advice, findings, kinds)
-    together = f"{len(names)} stations are one thing"
+    together = fit_together(len(names), len(names) + len(solved.outlier_stations), "object")
     if solved.outlier_stations:
         outliers = ", ".join(station.name for station in solved.outlier_stations)
         return Verdict("fair", f"{together}; left out: {outliers}.", reasons, findings=findings, kinds=kinds)
-    headline = f"{together}, and the others determine the pose of each."
-    return Verdict("good", headline, reasons, findings=findings, kinds=kinds)
+    return Verdict("good", f"{together}.", reasons, findings=findings, kinds=kinds)
 
 
 def _findings(solved: SolvedObject) -> Iterator[Finding]:

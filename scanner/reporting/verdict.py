@@ -22,8 +22,7 @@ _SYSTEMATIC_MISS_PX = 1.0
 _LEAST_SYSTEMATIC_PX, _SYSTEMATIC_OF_NOISE = 0.1, 2.5
 
 _THREE_CAPTURES = (
-    "For a measurement, capture the same corner three times from different places with the rig unchanged, and "
-    "calibrate them together."
+    "For a measurement, scan the same corner from three places with the rig unchanged: scan --config FILE --captures 3"
 )
 _ONE_MORE = (
     "A further capture of the same corner with the unchanged rig lowers the sigmas, from a place where the faces show "

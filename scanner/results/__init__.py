@@ -72,6 +72,7 @@ from scanner.results.verdict import (
     Grade,
     Verdict,
     finding_entries,
+    fit_together,
     read_verdict,
     verdict_entries,
     verdict_of,

@@ -23,6 +23,11 @@ Grade = Literal["good", "fair", "refused"]
 SIGNS: dict[str, str] = {"good": "✓", "fair": "◐", "refused": "✕"}
 
 
+def fit_together(count: int, total: int, whole: str) -> str:
+    """'All 6 stations fit together as one room', or '5 of 6 stations …', without a full stop."""
+    return f"{'All ' if count == total else f'{count} of '}{total} stations fit together as one {whole}"
+
+
 @dataclass(frozen=True)
 class Verdict:
     """An answer to whether a result can be trusted."""

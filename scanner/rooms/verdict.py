@@ -7,7 +7,7 @@ import numpy as np
 from calib.finding import Finding, FindingKind, Severity
 from calib.refusal import AMBIGUOUS
 from scanner.quantities import shown_unit
-from scanner.results import Verdict
+from scanner.results import Verdict, fit_together
 from scanner.rooms.contents import SolvedRoom
 
 # Each station then has less weight, because its smooth errors are common to all.
@@ -34,7 +34,7 @@ def verdict_on(room: SolvedRoom) -> Verdict:
     """The most serious finding decides."""
     names, findings = [station.name for station in room.stations], tuple(_findings(room))
     decisive = findings[0] if findings else None
-    together = f"{len(names)} stations are one room"
+    together = fit_together(len(names), len(names) + len(room.outlier_stations), "room")
     if decisive is not None and decisive.kind == AMBIGUOUS:
         both = "Both are in room.yaml; cloud, mesh and plan are of the likelier one."
         answers = _likelihood(room), both
@@ -50,8 +50,7 @@ def verdict_on(room: SolvedRoom) -> Verdict:
     if room.outlier_stations:
         outliers = ", ".join(station.name for station in room.outlier_stations)
         return Verdict("fair", f"{together}; left out: {outliers}.", reasons, findings=findings, kinds=kinds)
-    headline = f"{together}, and the others determine the pose of each."
-    return Verdict("good", headline, reasons, findings=findings, kinds=kinds)
+    return Verdict("good", f"{together}.", reasons, findings=findings, kinds=kinds)
 
 
 def _findings(room: SolvedRoom) -> Iterator[Finding]:

@@ -158,7 +158,7 @@ def test_angles_off_the_assumed_ones_are_refused(good: Refinement) -> None:
     # Walls may be that far off; what is not known of them is in the sigmas.
     refuse_untrustworthy(skewed, loose)
     refusal = refusal_of(replace(skewed, tension=21.2), loose)
-    assert "they seem to be off by +1.21, 0.00, 0.00 degrees" in refusal.reason
+    assert "they seem to be off by B–C +1.21°, C–A 0.00°, A–B 0.00°" in refusal.reason
     assert "where 0.3 degrees were allowed for" in refusal.reason
 
 

@@ -226,7 +226,7 @@ def test_a_network_shows_who_sees_whose_light(console: Console) -> None:
     visit.page.mouse.click(1000, 900)
     visit.page.keyboard.press("Shift+N")
     visit.wait_for("in the light of stage, ")
-    visit.wait_for("devices are one network")
+    visit.wait_for("devices fit together as one network")
     visit.wait_for("Showing all")
     visit.press("Capture")
     of_all = (

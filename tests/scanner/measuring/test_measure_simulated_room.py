@@ -40,7 +40,7 @@ def result(tmp_path_factory: pytest.TempPathFactory, room: DrawnRoom) -> Path:
 
 def test_the_ball_of_a_simulated_room(result: Path, room: DrawnRoom, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["measure", str(result), "--sphere", "240mm", "--shares"]) == 0
-    assert "1 m in the middle of this scene is known to ± " in capsys.readouterr().out
+    assert "1000 mm in the middle of this scene are known to ± " in capsys.readouterr().out
     document = json.loads((result.with_name("room-measured") / "measure.json").read_text())
     (sphere,) = document["spheres"]
     eye = room.camera

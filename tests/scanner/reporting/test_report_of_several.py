@@ -164,4 +164,4 @@ def test_without_distortion_the_papers_objective_is_lowest_near_the_truth(report
 
 def test_the_advice_knows_how_many_captures_there_were(report: ReportInput) -> None:
     assert "A further capture" in verdict(report).advice
-    assert "three times" in verdict(replace(report, joint=JointCaptures())).advice
+    assert "--captures 3" in verdict(replace(report, joint=JointCaptures())).advice
