@@ -6,7 +6,7 @@ from rich.table import Table
 
 from calib.diagnostics import Budget
 from scanner.measuring.measurements import AngleMeasurement, Measurements, PointAngle, SphereMeasurement
-from scanner.quantities import Quantity, ShownUnit, empty_table, shown_unit
+from scanner.quantities import Quantity, ShownUnit, empty_table, fine_unit, shown_unit
 
 _SHARES = ("scatter", "smooth", "calibration", "scale", "poses")
 
@@ -17,10 +17,11 @@ def tables(measured: Measurements) -> Iterator[Table]:
     for number, sphere in enumerate(measured.spheres, start=1):
         yield _sphere_table(sphere, number, unit)
     if measured.scene.faces:
-        table = empty_table(f"Faces, {unit.name}", "flatness", "points", "rms", "99.7 % within")
+        fine = fine_unit(measured.unit)
+        table = empty_table(f"Faces, {fine.name}", "flatness", "points", "rms", "99.7 % within")
         for face in measured.scene.faces:
-            flatness = unit.length(face.deviation, face.budget.sigma).removesuffix(f" {unit.name}")
-            cells = (f"{len(face.errors.residual):,}", unit.number(face.errors.rms), unit.number(face.errors.form))
+            flatness = fine.measured(face.deviation, face.budget.sigma)
+            cells = (f"{len(face.errors.residual):,}", fine.number(face.errors.rms), fine.number(face.errors.form))
             table.add_row(f"  {face.name}", flatness, *cells)
         yield table
     if measured.scene.angles:

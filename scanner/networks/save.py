@@ -1,32 +1,45 @@
 """The files of a network: network.yaml, network.ply and the report."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.geometry import Pose
 from calib.numerics import Floats
-from calib.pointcloud import colours_of
+from calib.pointcloud import MergedCloud, colours_of
 from scanner.configuration import Config
 from scanner.io import write_room, write_room_ply
 from scanner.networks.graph import network_graph
 from scanner.networks.sights import PairProgress
 from scanner.networks.solve import SolvedNetwork
 from scanner.quantities import shown_unit
-from scanner.rendering import page
+from scanner.rendering import page, render, view_along
+from scanner.reporting import (
+    CAMERA_COLOUR,
+    PROJECTOR_COLOUR,
+    VIEWER,
+    PageImage,
+    Thinned,
+    device_lines,
+    extent_row,
+    files_beside,
+    looking,
+    picture,
+    turning_view,
+)
 from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, REPORT_FILE, Verdict, provenance, verdict_entries
 
+_AHEAD, _UP = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
+_VIEW = (960, 640)
+_DEVICE_OF_SIZE = 0.05
+_FILES = {
+    "network.ply": "one cloud from all cameras, with normals and colours",
+    "network.yaml": "every device with its intrinsics and pose, the planes, and their sigmas",
+    "captures": "the recordings of the pairs, and what was decoded",
+    "scan.log": "what the program did, step by step",
+}
 _FRAME = "network frame: that of its first device, x right, y down, z ahead"
-
-
-class NetworkCloud(NamedTuple):
-    """Points, normals that face the projector (N, 3), and colours as RGB."""
-
-    points: Floats
-    normals: Floats
-    colours: NDArray[np.uint8]
-    unit: str
 
 
 def save_network(network: SolvedNetwork, verdict: Verdict, folder: Path, config: Config) -> None:
@@ -84,7 +97,7 @@ def entries_of(network: SolvedNetwork) -> dict[str, Any]:
     return {"unit": network.unit, "devices": devices, "planes": planes, **of_surfaces}
 
 
-def cloud_of(network: SolvedNetwork) -> NetworkCloud:
+def cloud_of(network: SolvedNetwork) -> MergedCloud:
     """All projectors' light: each point once, by all cameras that saw it."""
     points, normals, colours = [], [], []
     for projector, surface in network.surfaces.items():
@@ -102,7 +115,15 @@ def cloud_of(network: SolvedNetwork) -> NetworkCloud:
         points.append(network.factor * surface.points[there])
         normals.append(normal[there])
         colours.append(colour[there])
-    return NetworkCloud(np.concatenate(points), np.concatenate(normals), np.concatenate(colours), network.unit)
+    return MergedCloud(
+        np.concatenate(points).astype(np.float32),
+        np.concatenate(colours),
+        np.concatenate(normals).astype(np.float32),
+        network.unit,
+        np.nan,
+        (),
+        (),
+    )
 
 
 def _normals(points: Floats, towards: Floats) -> Floats:
@@ -115,8 +136,9 @@ def _normals(points: Floats, towards: Floats) -> Floats:
     return unit
 
 
-def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: NetworkCloud, config: Config) -> None:
+def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: MergedCloud, config: Config) -> None:
     estimate, unit = network.estimate, shown_unit(network.unit)
+    cameras = {camera for camera, _ in network.captures.decoded}
     rows = []
     for name in estimate.names:
         intrinsics, sigma = estimate.intrinsics(name), estimate.sigmas(name)
@@ -124,6 +146,7 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Net
         rows.append(
             (
                 name,
+                "camera" if name in cameras else "projector",
                 f"{intrinsics.focal_px[0]:.2f} ± {intrinsics.focal_px[0] * sigma[0]:.2g}",
                 ", ".join(
                     f"{value:.1f} ± {s:.2g}" for value, s in zip(intrinsics.principal_point_px, sigma[1:3], strict=True)
@@ -132,9 +155,26 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Net
                 "held" if name == estimate.names[0] else unit.error(network.factor * float(np.linalg.norm(sigma[11:]))),
             )
         )
-    cameras = {camera for camera, _ in network.captures.decoded}
+    thinned = Thinned.of(cloud.points, cloud.colours, cloud.normals)
+    length = _DEVICE_OF_SIZE * float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    lines = []
+    for name in estimate.names:
+        pose = estimate.device(name).pose
+        pose = Pose(pose.rotation, network.factor * pose.translation)
+        colour = CAMERA_COLOUR if name in cameras else PROJECTOR_COLOUR
+        lines += device_lines(estimate.intrinsics(name), pose, length, colour, name)
     text = page(
         "network.html",
+        runs=VIEWER,
+        views=[_view(cloud)],
+        view3d=turning_view(
+            thinned,
+            looking(_AHEAD, _UP, cloud.points),
+            lines,
+            network.unit,
+        ),
+        measured=[extent_row(cloud.points, network.unit, "x, y and z")],
+        files=files_beside(path, _FILES),
         verdict=verdict,
         provenance=provenance(path.parent, config),
         subtitle=f"{len(cameras)} cameras, {len(network.surfaces)} projectors, {len(cloud.points):,} points.",
@@ -143,3 +183,8 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Net
         unit=network.unit,
     )
     path.write_text(text, encoding="utf-8")
+
+
+def _view(cloud: MergedCloud) -> PageImage:
+    seen = render(cloud, view_along(np.array([0.5, 0.5, 1.0]), _UP), _VIEW, [])
+    return picture(seen, "the network's cloud, oblique view", caption="Obliquely from above.")

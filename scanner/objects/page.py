@@ -10,16 +10,16 @@ from scanner.objects.contents import ObjectSurface, SolvedObject
 from scanner.objects.verdict import verdict_on
 from scanner.quantities import percent, shown_unit
 from scanner.rendering import page, render, view_along
-from scanner.reporting import PageImage, ScaledMap, picture
+from scanner.reporting import VIEWER, PageImage, ScaledMap, extent_row, files_beside, picture
 from scanner.results import Provenance
 from scanner.rooms.page_parts import (
     HALF_PX,
     Cell,
     camera_frusta,
-    files_beside,
     overlap_cells,
     residual_map,
     sigma_cells,
+    turning_stations,
 )
 
 _VIEW = (960, 640)
@@ -45,8 +45,10 @@ def write_page(
         verdict=verdict_on(solved),
         provenance=made,
         subtitle=f"{len(solved.stations)} stations of one rig, {len(cloud.points):,} points.",
+        runs=VIEWER,
         views=_views(solved, cloud),
-        measured=list(_measured(solved, surface)),
+        view3d=turning_stations(solved.stations, solved.calibration.camera, cloud, _FRUSTUM_OF_SIZE),
+        measured=[extent_row(cloud.points, solved.unit, "x, y and z"), *_measured(solved, surface)],
         stations=list(_station_rows(solved)),
         names=[str(number) for number in range(1, len(solved.stations) + 1)],
         overlaps=_matrix(solved),
@@ -60,7 +62,13 @@ def write_page(
 def _views(solved: SolvedObject, cloud: MergedCloud) -> list[PageImage]:
     """From four sides, and from above with the cameras."""
     frusta = camera_frusta(solved.stations, solved.calibration.camera, cloud, _FRUSTUM_OF_SIZE)
-    pictures = [picture(render(cloud, view_along(np.array([1.0, 0.8, -0.9]), _UP), _VIEW, frusta), "the thing, above")]
+    pictures = [
+        picture(
+            render(cloud, view_along(np.array([1.0, 0.8, -0.9]), _UP), _VIEW, frusta),
+            "the thing, above",
+            caption="From above, with the cameras in blue as they stood against the thing.",
+        )
+    ]
     for turn in range(4):
         along = np.array([np.cos(turn * np.pi / 2), np.sin(turn * np.pi / 2), -0.3])
         view = render(cloud, view_along(along, _UP), (HALF_PX, HALF_PX), [])
@@ -73,8 +81,13 @@ def _measured(solved: SolvedObject, surface: ObjectSurface | None) -> Iterator[t
     name = shown_unit(solved.unit).name
     factor = shown_unit(solved.unit).factor
     if surface is None:
+        yield "volume", "not known", "the points do not hang together as a surface"
         return
-    if surface.volume is not None:
+    if surface.volume is None:
+        holes = "the surface has holes where no station looked; --fill closes them"
+        bridges = f"{percent(surface.bridged)} of the surface bridges holes, too much to know what is inside"
+        yield "volume", "not known", bridges if surface.closed else holes
+    else:
         volume, sigma = (value * factor**3 for value in surface.volume)
         filled = percent(surface.bridged)
         yield "volume", f"{volume:.6g} ± {sigma:.2g} {name}³", f"of the closed surface, {filled} of which bridges holes"

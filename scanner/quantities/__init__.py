@@ -17,6 +17,7 @@ from scanner.quantities.units import (
     METRES,
     UNKNOWN_UNIT,
     ShownUnit,
+    fine_unit,
     metres_per,
     parse_length,
     parse_seconds,

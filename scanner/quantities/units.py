@@ -115,5 +115,12 @@ def shown_unit(unit: str) -> ShownUnit:
     return ShownUnit(1.0, unit_name(unit))
 
 
+def fine_unit(unit: str) -> ShownUnit:
+    """The unit for deviations of surfaces, a thousandth of a millimetre or a millionth of the baseline."""
+    if unit in _METRIC:
+        return ShownUnit(METRES[unit] / METRES["µm"], "µm")
+    return ShownUnit(1e6, "ppm of the baseline") if unit == UNKNOWN_UNIT else shown_unit(unit)
+
+
 def _decimals(value: float, significant: int) -> int:
     return max(0, significant - 1 - floor(log10(abs(value)))) if value else 0

@@ -7,7 +7,7 @@ import numpy as np
 from calib.geometry import Size
 from calib.numerics import Floats
 from scanner.measuring import AngleMeasurement, FaceMeasurement, angle_cells
-from scanner.quantities import shown_unit
+from scanner.quantities import fine_unit
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import ScaledMap, picture
@@ -41,7 +41,7 @@ def flatness(report: ReportInput) -> Flatness | None:
     scene, reconstructed = report.scene, report.reconstructed
     if scene is None or reconstructed is None or not scene.faces:
         return None
-    unit = shown_unit(reconstructed.calibration.unit)
+    unit = fine_unit(reconstructed.calibration.unit)
     rows = tuple(
         FlatnessRow(face.name, (unit.measured(face.deviation, face.budget.sigma), unit.number(face.errors.form)))
         for face in scene.faces

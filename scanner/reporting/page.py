@@ -18,7 +18,7 @@ from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
 
-_VIEWER = "viewer.js"
+VIEWER = "viewer.js"
 _FILES = {
     "calibration.yaml": "intrinsics of both devices, and the motion between them",
     "refused.yaml": "machine-readable: why nothing was calibrated",
@@ -64,7 +64,7 @@ def write_report(path: Path, report: ReportInput) -> None:
     decision = verdict(report)
     text = page(
         "report.html",
-        runs=_VIEWER,
+        runs=VIEWER,
         **parts,
         subtitle=sections.subtitle(report.metadata),
         provenance=report.provenance,

@@ -116,7 +116,7 @@ def statement(found: SpatialCorrelation | None) -> str:
         f"{found.correlation:.2f} (Moran's I), where chance gives less than {chance:.2f}"
     )
     if not found.significant:
-        return f"Random: {numbers}."
+        return f"No pattern beyond the noise: {numbers}."
     shared = f"neighbours share {found.shared_px:.2g} px, {percent(found.shared_variance)} of the variance"
     if not found.structured:
         return f"Nearly random, with a faint pattern: {numbers}; {shared}."

@@ -1,11 +1,13 @@
 """The report's sections as values that the template only has to lay out."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.numerics import Floats
 from calib.pointcloud import Cloud
@@ -13,7 +15,7 @@ from scanner.capture import CaptureMetadata
 from scanner.decoding import Decoding, MaskReason
 from scanner.io import block_yaml
 from scanner.patterns import Gray, Pattern, Phase, Xor
-from scanner.quantities import FACE_NAMES, Quantity, device_quantities, percent, pose_quantities
+from scanner.quantities import FACE_NAMES, Quantity, device_quantities, percent, pose_quantities, shown_unit
 from scanner.rendering import (
     BLACK,
     BLUE,
@@ -55,6 +57,7 @@ def on_paper(pixels: Pixels) -> Pixels:
 
 _VIEW_SIZES = {"oblique": (960, 640), "top": (560, 400), "front": (560, 400)}
 _STEP = 8  # subsampling of rows and columns for mean brightness
+_STRAYS = 0.001  # at each end of a cloud's extent
 FRUSTUM_LENGTH = 0.15  # of the scene's depth
 _VIEW_CAPTIONS = {
     "oblique": "From the side and above, with the camera (blue) and the projector (red).",
@@ -351,3 +354,17 @@ def photo(pixels: Pixels, alt: str) -> PageImage:
 def _printed(pixels: Pixels, alt: str, caption: str = "") -> PageImage:
     small = on_paper(pixels)
     return PageImage(jpeg_uri(small), small.shape[1], small.shape[0], alt, caption)
+
+
+def files_beside(page: Path, meanings: Mapping[str, str]) -> list[tuple[str, str]]:
+    """The files beside a page with their meanings, by name."""
+    names = sorted({path.name for path in page.parent.iterdir()} - {page.name})
+    return [(name, meanings[name]) for name in names if name in meanings]
+
+
+def extent_row(points: NDArray[np.floating], unit: str, axes: str) -> tuple[str, str, str]:
+    """The size of a cloud (N, 3) as a row of measures, without its strays."""
+    low, high = np.quantile(points, (_STRAYS, 1 - _STRAYS), axis=0)
+    shown = shown_unit(unit)
+    size = " × ".join(shown.number(float(length)) for length in high - low)
+    return "extent", f"{size} {shown.name}", f"of the cloud along {axes}, without 0.1 % of strays at each end"

@@ -4,16 +4,18 @@ import base64
 import json
 from dataclasses import dataclass
 from math import ceil
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from calib.geometry import IDENTITY, Calibration, Pose
+from calib.geometry import IDENTITY, Calibration, Intrinsics, Pose
 from calib.numerics import Floats
 from calib.pointcloud import Cloud, MergedCloud
-from scanner.quantities import FACE_NAMES, device_names
-from scanner.rendering import FACE_COLOURS, Colour, css_colour, frustum, frustum_of_projector
+from scanner.quantities import FACE_NAMES, device_names, shown_unit
+from scanner.rendering import FACE_COLOURS, Colour, css_colour, frustum
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import FRUSTUM_LENGTH, typical_depth, upright
 from scanner.results import Reconstructed
@@ -26,6 +28,8 @@ _OFF_THE_FACE = 6.0
 _WHITE_PERCENTILE = 99
 # Squares slightly larger than the grid close gaps on oblique surfaces.
 _SPLAT_OF_GRID = 1.9
+_SPACING_SAMPLE, _NEIGHBOURS = 1000, 8
+CAMERA_COLOUR, PROJECTOR_COLOUR = "--accent", "--second"
 _UPRIGHT_OF_CORNER = np.array([0.0, 0.0, 1.0])
 
 
@@ -51,24 +55,65 @@ def view3d(report: ReportInput) -> View3d | None:
     if not total or not len(report.in_cloud):
         return None
     points, colours, normals, grid = _thinned(report, found, cloud, total)
+    orientation = _orientation(report, cloud, points)
+    thinned = Thinned(points, colours, normals, grid, total)
+    return turning_view(thinned, orientation, _outlines(report, found, cloud), found.calibration.unit)
+
+
+class Thinned(NamedTuple):
+    """Some points (n, 3) of a cloud of `total`, their colours, RGB, and normals, and the distance of neighbours."""
+
+    points: Floats
+    colours: NDArray[np.uint8]
+    normals: NDArray[np.floating]
+    grid: float
+    total: int
+
+    @classmethod
+    def of(cls, points: NDArray[np.floating], colours: NDArray[np.uint8], normals: NDArray[np.floating]) -> "Thinned":
+        """An even choice of any cloud."""
+        chosen = np.sort(np.random.default_rng(0).permutation(len(points))[:_MOST_POINTS])
+        some = points[chosen].astype(np.float64)
+        sample = some[:: max(1, len(some) // _SPACING_SAMPLE)]
+        within = np.asarray(cKDTree(some).query(sample, min(1 + _NEIGHBOURS, len(some)))[0])[:, -1]
+        grid = float(np.median(within)) * np.sqrt(np.pi / _NEIGHBOURS)
+        return cls(some, colours[chosen], normals[chosen], grid, len(points))
+
+
+def turning_view(
+    thinned: Thinned, orientation: dict[str, list[float]], lines: list[dict[str, object]], unit: str
+) -> View3d:
+    """For the viewer: `orientation` as of `looking`, and outlines in the cloud's frame, as of `device_lines`."""
+    points, shown = thinned.points, shown_unit(unit)
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 1e-9)
-    return View3d(
-        _packed((points - low) / size, colours, normals),
-        json.dumps(
-            {
-                "count": len(points),
-                "low": _rounded(low),
-                "size": _rounded(size),
-                "splat": float(f"{_SPLAT_OF_GRID * grid:.4g}"),
-                **_orientation(report, cloud, points),
-                "lines": _outlines(report, found, cloud),
-            },
-            separators=(",", ":"),
-        ),
-        len(points),
-        total,
-    )
+    scene = {
+        "count": len(points),
+        "low": _rounded(low),
+        "size": _rounded(size),
+        "splat": float(f"{_SPLAT_OF_GRID * thinned.grid:.4g}"),
+        "unit": [shown.factor, shown.name],
+        **orientation,
+        "lines": lines,
+    }
+    packed = _packed((points - low) / size, thinned.colours, thinned.normals)
+    return View3d(packed, json.dumps(scene, separators=(",", ":")), len(points), thinned.total)
+
+
+def looking(forward: Floats, up: Floats, points: NDArray[np.floating]) -> dict[str, list[float]]:
+    """The initial view: along `forward`, `up` at the top, around the middle of points (n, 3)."""
+    return {"up": _rounded(up), "forward": _rounded(forward), "centre": _rounded(np.median(points, axis=0))}
+
+
+def device_lines(device: Intrinsics, place: Pose, length: float, colour: str, name: str) -> list[dict[str, object]]:
+    """A device with its pose as a pyramid of this length, with its name; the colour is one of the page's."""
+    pyramid = place @ frustum(device, length)
+    path = np.concatenate([pyramid[4:, 0], pyramid[4:5, 0]])
+    edges = [(path, name), *((edge, "") for edge in pyramid[:4])]
+    return [
+        {"colour": colour, "text": text, "closed": False, "at": [_rounded(point) for point in edge]}
+        for edge, text in edges
+    ]
 
 
 def _thinned(
@@ -90,7 +135,7 @@ def _thinned(
     return cloud.points[chosen][there].astype(np.float64), table[colours], cloud.normals[chosen][there], float(grid)
 
 
-def _packed(shares: Floats, colours: NDArray[np.uint8], normals: NDArray[np.float32]) -> str:
+def _packed(shares: Floats, colours: NDArray[np.uint8], normals: NDArray[np.floating]) -> str:
     records = np.zeros(len(shares), dtype=[("at", "<u2", 3), ("rgb", "u1", 3), ("normal", "i1", 3)])
     records["at"] = np.rint(_STEPS * shares)
     records["rgb"] = colours
@@ -106,7 +151,7 @@ def _orientation(report: ReportInput, cloud: Cloud | MergedCloud, points: Floats
         forward = -np.array([middle[0], middle[1], 0.0])
     else:
         up, forward = upright(report), np.array([0.0, 0.0, 1.0])
-    return {"up": _rounded(up), "forward": _rounded(forward), "centre": _rounded(middle)}
+    return looking(forward, up, points)
 
 
 def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCloud) -> list[dict[str, object]]:
@@ -129,14 +174,18 @@ def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCl
     for number, (calibration, pose) in enumerate(zip(calibrations, to_cloud, strict=True), start=1):
         if calibration is None:
             continue
-        pyramids = frustum(calibration.camera, length), frustum_of_projector(calibration, length)
         names = device_names(calibration, number, len(to_cloud))
-        for name, pyramid, colour in zip(names, pyramids, ("--accent", "--second"), strict=True):
-            path = np.concatenate([pyramid[4:, 0], pyramid[4:5, 0]])
+        devices = (
+            (calibration.camera, pose, CAMERA_COLOUR),
+            (
+                calibration.projector,
+                pose @ calibration.pose.inverse(),
+                PROJECTOR_COLOUR,
+            ),
+        )
+        for name, (device, place, colour) in zip(names, devices, strict=True):
             named = any(line["text"] == name for line in lines)  # the first photo is in every pair
-            text = "" if named else name
-            lines.append({"colour": colour, "text": text, "closed": False, "at": _moved(path, pose)})
-            lines += [{"colour": colour, "text": "", "closed": False, "at": _moved(edge, pose)} for edge in pyramid[:4]]
+            lines += device_lines(device, place, length, colour, "" if named else name)
     return lines
 
 

@@ -53,6 +53,8 @@ class _Drawing:
         for line in self._plan.lines:
             if line.length is not None:
                 yield self._dimension(line, line.length)
+        for line in self._plan.lines:
+            yield self._number(line)
         for corner in self._plan.corners:
             yield self._angle(corner.position, corner.angle_deg)
         for number, (camera, ahead) in enumerate(zip(self._plan.cameras, self._plan.ahead, strict=True), start=1):
@@ -80,6 +82,13 @@ class _Drawing:
             f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" dominant-baseline="middle" '
             f'transform="rotate({turn:.1f} {x:.1f} {y:.1f})">{text}</text>'
         )
+
+    def _number(self, line: WallLine) -> str:
+        """The plane's, beside its middle, towards the room."""
+        along = (line.end - line.start) / np.linalg.norm(line.end - line.start)
+        inside = np.array([-along[1], along[0]])  # the room is on the left
+        x, y = self._at((line.start + line.end) / 2 + 14 / self._scale * inside)
+        return self._text(x, y + 4, str(line.plane), "quiet")
 
     def _angle(self, corner: Floats, angle: Measured) -> str:
         middle = np.mean([end for line in self._plan.lines for end in (line.start, line.end)], axis=0)

@@ -8,7 +8,7 @@ import numpy as np
 from calib.pointcloud import MergedCloud
 from scanner.quantities import percent, plain, rig_quantities, shown_unit
 from scanner.rendering import page, render, view_along
-from scanner.reporting import PageImage, ScaledMap, picture
+from scanner.reporting import VIEWER, PageImage, ScaledMap, extent_row, files_beside, picture
 from scanner.results import Provenance
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.floorplan import FloorPlan
@@ -17,10 +17,10 @@ from scanner.rooms.page_parts import (
     HALF_PX,
     Cell,
     camera_frusta,
-    files_beside,
     overlap_cells,
     residual_map,
     sigma_cells,
+    turning_stations,
 )
 from scanner.rooms.verdict import verdict_on
 
@@ -47,8 +47,10 @@ def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud
         provenance=made,
         subtitle=f"{len(room.stations)} stations of one rig, {len(cloud.points):,} points.",
         plan=plan_svg(plan),
+        runs=VIEWER,
         views=_views(room, cloud),
-        lengths=list(_lengths(room, plan)),
+        view3d=turning_stations(room.stations, room.calibration.camera, cloud, _FRUSTUM_OF_SIZE),
+        lengths=[extent_row(cloud.points, room.unit, "x, y and z"), *_lengths(room, plan)],
         stations=[_station_row(room, number, station) for number, station in enumerate(room.stations)],
         names=[str(number) for number in range(1, len(room.stations) + 1)],
         overlaps=_overlaps(room),
@@ -71,7 +73,7 @@ def _views(room: SolvedRoom, cloud: MergedCloud) -> list[PageImage]:
         "From straight above": (view_along(-up, np.array([0.0, 1.0, 0.0])), (HALF_PX, HALF_PX)),
     }
     return [
-        picture(render(cloud, view, drawn, frusta), f"the room, {name.lower()}", caption=f"{name}.")
+        picture(render(cloud, view, drawn, frusta), f"the room, {name.lower()}", caption=f"{name}. Cameras in blue.")
         for name, (view, drawn) in views.items()
     ]
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,17 @@ from calib.geometry import Intrinsics
 from calib.pointcloud import MergedCloud
 from scanner.quantities import shown_unit
 from scanner.rendering import BLUE, Wireframe, frustum
-from scanner.reporting import ScaledMap, maps, picture
+from scanner.reporting import (
+    CAMERA_COLOUR,
+    ScaledMap,
+    Thinned,
+    View3d,
+    device_lines,
+    looking,
+    maps,
+    picture,
+    turning_view,
+)
 from scanner.rooms.contents import Station
 
 HALF_PX = 480
@@ -39,16 +48,22 @@ def overlap_cells(
     return [[cell(row, column) for column in stations] for row in stations]
 
 
-def files_beside(page: Path, meanings: Mapping[str, str]) -> list[tuple[str, str]]:
-    """The files beside a page with their meanings, by name."""
-    names = sorted({path.name for path in page.parent.iterdir()} - {page.name})
-    return [(name, meanings[name]) for name in names if name in meanings]
-
-
 def camera_frusta(stations: Sequence[Station], camera: Intrinsics, cloud: MergedCloud, share: float) -> list[Wireframe]:
     """The stations' cameras, as long as this share of the cloud."""
     length = share * float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     return [Wireframe(station.to_room(frustum(camera, length)), BLUE) for station in stations]
+
+
+def turning_stations(stations: Sequence[Station], camera: Intrinsics, cloud: MergedCloud, share: float) -> View3d:
+    """The cloud, z up, to be turned, with the stations' cameras by number, as long as this share of the cloud."""
+    length = share * float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    lines = [
+        line
+        for number, station in enumerate(stations, start=1)
+        for line in device_lines(camera, station.place, length, CAMERA_COLOUR, str(number))
+    ]
+    orientation = looking(np.array([1.0, 0.8, 0.0]), np.array([0.0, 0.0, 1.0]), cloud.points)
+    return turning_view(Thinned.of(cloud.points, cloud.colours, cloud.normals), orientation, lines, cloud.unit)
 
 
 def sigma_cells(station: Station, first: Station, unit: str) -> tuple[str, str]:

@@ -9,7 +9,9 @@ function start(host) {
   const axes = frame(scene.forward, scene.up);
   const reach = Math.hypot(...scene.size) / 2;
   const close = {yaw: 0, pitch: 0, distance: 2.3 * reach, target: scene.centre};
-  const first = {...around(scene), yaw: -0.5, pitch: 0.45};
+  const all = around(scene);
+  // Devices far from a small cloud would make it a speck.
+  const first = {...(all.distance > 6 * reach ? close : all), yaw: -0.5, pitch: 0.45};
   let eye = {...first}, outlines = true, waiting = false;
 
   function redraw() {
@@ -30,6 +32,7 @@ function start(host) {
     if (outlines) for (const line of scene.lines) drawLine(picture, line, view, Math.round(2 * ratio), style);
     context.putImageData(picture.image, 0, 0);
     if (outlines) for (const line of scene.lines) if (line.text) write(context, line, view, ratio, style);
+    scaleBar(context, scene.unit, view.focal / eye.distance, width, height, ratio, style);
   }
 
   function turn(right, up) {
@@ -194,17 +197,34 @@ function drawLine(picture, line, view, thickness, style) {
   }
 }
 
-function write(context, line, view, ratio, style) {
-  const points = line.at.map(point => seen(point, view));
-  if (points.includes(null)) return;
-  const middle = [0, 1].map(k => points.reduce((sum, point) => sum + point[k], 0) / points.length);
+// A round length at the distance that one turns about, as long as an eighth to a quarter of the picture.
+function scaleBar(context, [factor, name], pixels, width, height, ratio, style) {
+  const most = width / 4 / pixels * factor, decade = 10 ** Math.floor(Math.log10(most));
+  const length = decade * [5, 2, 1].find(step => step * decade <= most), long = length / factor * pixels;
+  const left = 16 * ratio, row = height - 16 * ratio;
+  context.strokeStyle = style.getPropertyValue("--ink");
+  context.lineWidth = 2 * ratio;
+  context.beginPath();
+  for (const [x, y] of [[0, -6], [0, 0], [long, 0], [long, -6 * ratio]]) context.lineTo(left + x, row + y);
+  context.stroke();
+  label(context, `${Number(length.toPrecision(3))} ${length === 1 && name === "baselines" ? "baseline" : name}`, [left + long / 2, row - 8 * ratio], ratio, style);
+}
+
+function label(context, text, place, ratio, style) {
   context.font = `600 ${14 * ratio}px ${style.fontFamily}`;
   context.textAlign = "center";
   context.lineWidth = 4 * ratio;
   context.strokeStyle = style.getPropertyValue("--panel");
   context.fillStyle = style.getPropertyValue("--ink");
-  context.strokeText(line.text, ...middle);
-  context.fillText(line.text, ...middle);
+  context.strokeText(text, ...place);
+  context.fillText(text, ...place);
+}
+
+function write(context, line, view, ratio, style) {
+  const points = line.at.map(point => seen(point, view));
+  if (points.includes(null)) return;
+  const middle = [0, 1].map(k => points.reduce((sum, point) => sum + point[k], 0) / points.length);
+  label(context, line.text, middle, ratio, style);
 }
 
 for (const host of document.querySelectorAll(".viewer")) start(host);

@@ -6,7 +6,7 @@ from markupsafe import escape
 
 from calib.geometry import Calibration
 from scanner.measuring import angle_cells
-from scanner.quantities import Quantity, device_quantities, pose_quantities, shown_unit, truth_line
+from scanner.quantities import Quantity, device_quantities, fine_unit, pose_quantities, truth_line
 from scanner.rendering import css_colour
 from scanner.results import DECISIVE, Verdict
 from scanner.shown_text import unbroken
@@ -90,7 +90,7 @@ def corner_text(corner: MeasuredCorner | None, unit: str) -> str:
 
 
 def _corner_lines(corner: MeasuredCorner, unit: str) -> Iterator[str]:
-    unit_shown = shown_unit(unit)
+    unit_shown = fine_unit(unit)
     yield corner.scene.sentence
     yield ""
     for angle in corner.scene.angles:

@@ -164,7 +164,9 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
     assert 0.3 < size < 3
     again = read_stations([tmp_path], config_for(CAMERA), Terminal(quiet=True))
     assert [len(each.matches) for each in again] == [len(each.decoded.matches) for each in found.stations]
-    assert "5 stations are one thing" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for part in ("All 5 stations fit together as one object", 'class="points"', "of the surface bridges holes"):
+        assert part in page
     for name in ("stl", "3mf"):
         out = tmp_path / f"thing.{name}"
         FORMATS[name].write(ExportRequest(tmp_path, out))

@@ -1,6 +1,7 @@
 """`scan room` on a simulated room: poses of the stations, the rig, the walls, and every file of the result."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -112,7 +113,10 @@ def test_files_of_the_plan(example: SolvedExample) -> None:
 
 def test_the_page_shows_the_results(example: SolvedExample) -> None:
     page = (example.out / "report.html").read_text()
-    assert f"{len(ORDER)} stations are one room" in page
+    assert f"All {len(ORDER)} stations fit together as one room." in page
+    for part in ('class="points"', '<th scope="row">extent</th>', "room.ply"):
+        assert part in page
+    assert re.search(r'class="quiet"[^>]*>[0-9]+</text>', page)  # the number of a plane on the plan
     assert page.count("<figcaption>") >= 4 + len(ORDER)
     assert 'src="http' not in page
 
