@@ -69,21 +69,21 @@ class SilentPage:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._busy, self._seen = False, 0
+        self._wanted, self._began, self._ended, self._seen = Activity.NOTHING, False, False, 0
         self.message = ""
 
-    def begin(self) -> None:
-        """Before something is asked for."""
+    def expect(self, activity: Activity) -> None:
+        """Before it is asked for: what was done until then may end first."""
         with self._changed:
-            self._busy, self._seen, self.message = True, 0, ""
+            self._wanted, self._began, self._ended, self._seen, self.message = activity, False, False, 0, ""
 
     def wait_for_end(self) -> None:
         """Of what was asked for. Raises TimeoutError."""
-        self._wait(lambda: not self._busy)
+        self._wait(lambda: self._ended)
 
     def wait_for_sights(self, count: int) -> None:
         """Of frames or clouds, or the end. Raises TimeoutError."""
-        self._wait(lambda: self._seen >= count or not self._busy)
+        self._wait(lambda: self._seen >= count or self._ended)
 
     def _wait(self, condition: Callable[[], bool]) -> None:
         with self._changed:
@@ -96,10 +96,11 @@ class SilentPage:
             self._changed.notify_all()
 
     def on_status(self, status: Status) -> None:
-        if status.activity is Activity.NOTHING:
-            with self._changed:
-                self._busy, self.message = False, status.message
-                self._changed.notify_all()
+        with self._changed:
+            self._began |= status.activity is self._wanted
+            if self._began and status.activity is Activity.NOTHING:
+                self._ended, self.message = True, status.message
+            self._changed.notify_all()
 
     def on_frame(self, frame: Frame, camera: str = "") -> None:  # noqa: ARG002
         self._see()
@@ -180,14 +181,14 @@ def _work(worker: Worker, page: SilentPage) -> None:
         (Activity.SCANNING, 0),
         (Activity.CLOUDS, _LIVE_CLOUDS),
     ):
-        page.begin()
+        page.expect(activity)
         if not worker.request(activity):
             raise SystemExit(f"console: {activity} was refused")
         if sights:
             page.wait_for_sights(sights)
         if activity is Activity.LIVE:
-            worker.request(Activity.NOTHING)
-        elif activity is Activity.CLOUDS:
+            continue  # until something else is asked for
+        if activity is Activity.CLOUDS:
             worker.cancel()
         page.wait_for_end()
         if page.message:

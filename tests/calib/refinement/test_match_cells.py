@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Matches, TooFewMatchesError
-from calib.refinement.match_cells import Cells, into_cells
+from calib.refinement.match_cells import Cells, follow_one_plane, into_cells
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
 LENSES: dict[str, Any] = {
@@ -76,6 +76,25 @@ def test_too_few_matches_are_named() -> None:
     face = np.where(np.arange(len(matches)) < 3, 0, -1).astype(np.int32)
     with pytest.raises(TooFewMatchesError, match="face 0 has 3 matches"):
         into_cells(matches.with_faces(face), (0,))
+
+
+def test_the_matches_of_a_bent_plane_are_told_from_those_of_another() -> None:
+    matches, _ = _matches(0.1)
+    other = np.flatnonzero(matches.face == 1)[::4]
+    both = matches[np.sort(np.concatenate([np.flatnonzero(matches.face == 0), other]))]
+    on = follow_one_plane(both, 0.5)
+    assert 0.99 < on[both.face == 0].mean() <= 1.0
+    assert 0.0 <= on[both.face == 1].mean() < 0.1
+    # A larger tolerance takes in more of the other plane.
+    assert on[both.face == 1].mean() < follow_one_plane(both, 20.0)[both.face == 1].mean() < 1.0
+
+
+def test_a_plane_needs_four_matches() -> None:
+    matches, _ = _matches(0.1)
+    on_one = matches.on_face(0)[::1000]
+    assert follow_one_plane(on_one[:4], 0.5).shape == (4,)
+    with pytest.raises(TooFewMatchesError, match="a plane has 3 matches"):
+        follow_one_plane(on_one[:3], 0.5)
 
 
 def test_nearly_empty_cells_are_left_out() -> None:
