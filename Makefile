@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 # Container images often keep Python from writing bytecode: every process would compile all modules anew, for seconds.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup ready scan room object console scan-loopback scan-loopback-stream rig try-rig try-browser test lint check-types bytecode unit benchmark paper fuzz clean
+.PHONY: help setup ready scan room object console scan-loopback scan-loopback-stream rig try-rig try-browser test lint check-types bytecode unit benchmark paper docs fuzz clean
 
 help:
 	@echo "make scan           set up, then scan a simulated room from three places into scans/room-sim/"
@@ -20,6 +20,7 @@ help:
 	@echo "make scan-loopback-stream  the same with a webcam, as a stream of JPEGs, into scans/room-loopback-stream/"
 	@echo "make benchmark      measure accuracy and speed (minutes)"
 	@echo "make paper          rebuild the paper's tables and figures into docs/results.md (an hour or two)"
+	@echo "make docs           the documentation as a site into site/index.html"
 	@echo "make fuzz           damage files at random for hours, and watch every reader (SEED=, INPUTS=, SECONDS=)"
 	@echo "make clean          remove $(VENV)/ and caches; scans/ is kept"
 
@@ -101,6 +102,10 @@ benchmark: $(VENV)/.dev try-rig
 
 paper: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/bench_paper.py
+
+docs: $(VENV)/.dev
+	$(BIN)/mkdocs build --quiet --strict
+	@echo "Open site/index.html in a browser."
 
 SEED   ?= 0
 INPUTS ?= 50000

@@ -56,7 +56,9 @@ def missing_files(files: Sequence[str]) -> Finding:
     """A warning about files that are listed and not there."""
     named = ", ".join(map(shown, files[:_MOST_NAMED])) + (" and others" if len(files) > _MOST_NAMED else "")
     message = f"Of the listed frames {len(files)} {'is' if len(files) == 1 else 'are'} missing, and left out: {named}."
-    return Finding(MISSING_FILES, Severity.WARNING, message, MISSING_FILES.remedy, {"missing_frames": float(len(files))})
+    return Finding(
+        MISSING_FILES, Severity.WARNING, message, MISSING_FILES.remedy, {"missing_frames": float(len(files))}
+    )
 
 
 def _is_damaged(last: str) -> bool:

@@ -60,6 +60,9 @@ FORMATS: dict[str, Format] = {
         "text model with some of the points", "-colmap", (), "colmap", "COLMAP reads it: File, Import model."
     ),
     "ply": Format("the cloud", "-cloud.ply", (".ply",), "cloud", "MeshLab, CloudCompare and Open3D read it."),
+    "pcd": Format(
+        "the cloud for the Point Cloud Library and ROS", "-cloud.pcd", (".pcd",), "cloud", "PCL and ROS read it."
+    ),
     "e57": Format(
         "the cloud, upright and in metres (needs pye57)",
         ".e57",

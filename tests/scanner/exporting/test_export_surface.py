@@ -44,6 +44,14 @@ def test_the_exported_cloud_is_unchanged(written: Written, tmp_path: Path) -> No
     assert np.array_equal(cloud.colors[:, :3], written.scan.colours)
 
 
+def test_a_pcd_has_the_same_points(written: Written, tmp_path: Path) -> None:
+    open3d = pytest.importorskip("open3d", exc_type=ImportError, reason="Open3D is not installed")
+    cloud = open3d.io.read_point_cloud(str(export(written.folder, "pcd", tmp_path / "cloud.pcd")))
+    assert np.allclose(np.asarray(cloud.points), written.scan.points, atol=1e-6)
+    assert np.allclose(np.asarray(cloud.normals), written.scan.normals, atol=1e-6)
+    assert np.array_equal(np.rint(255 * np.asarray(cloud.colors)), written.scan.colours)
+
+
 @pytest.mark.parametrize("unit", ["m", "mm"])
 def test_e57_is_upright_and_in_metres(tmp_path: Path, unit: str) -> None:
     pye57 = pytest.importorskip("pye57", reason="pye57 is not installed")
