@@ -83,11 +83,12 @@ def write_result(
     return Written(folder, read_finished_scan(folder), scene)
 
 
-def write_captures(folder: Path) -> tuple[Written, Written]:
+def write_captures(folder: Path, camera: Intrinsics = CAMERA) -> tuple[Written, Written]:
     """The result of two captures of the corner by one rig, from two places, the older first; the merged cloud holds
     every point of both.
     """
-    captures = write_result(folder / "captures" / "1", at=(1.2, 1.5, 1.3)), write_result(folder)
+    older = write_result(folder / "captures" / "1", camera=camera, at=(1.2, 1.5, 1.3))
+    captures = older, write_result(folder, camera=camera)
     poses = [corner_pose(written) for written in captures]
     points, normals, colours = (
         np.concatenate(parts)

@@ -8,11 +8,10 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from calib.geometry import Intrinsics
-from calib.pointcloud import CornerView, build_cloud, merged
 from scanner.commands import main
-from scanner.io import read_cloud, write_merged_ply
+from scanner.io import read_cloud
 from tests.support.browsing import Served, Visit, visiting
-from tests.support.result_folder import write_result
+from tests.support.result_folder import write_captures
 
 pytestmark = pytest.mark.xdist_group("browser")
 
@@ -22,11 +21,8 @@ SMALL = Intrinsics(204, 171, (149.5, 149.5), (104.5, 88.0), (-0.05, 0.0, 0.0, 0.
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     folder = tmp_path_factory.mktemp("view")
-    written = write_result(folder / "room", camera=SMALL)
+    write_captures(folder / "room", SMALL)
     (folder / "room" / "report.html").write_text("A report's own words", encoding="utf-8")
-    cloud = build_cloud(written.scene.matches, written.scene.texture, written.scan.calibration)
-    view = CornerView(cloud.points, None, SMALL, written.scene.corner)
-    write_merged_ply(folder / "room" / "merged.ply", merged([cloud], [view], (1,)))
     with Served(folder, "view", folder / "room") as served:
         yield served
 
@@ -58,7 +54,7 @@ def test_the_cloud_is_shown_and_can_be_hidden(visit: Visit) -> None:
 
 
 def test_points_are_thinned_and_coloured(visit: Visit) -> None:
-    visit.choose("Cloud", "The capture")
+    visit.choose("Cloud", "Capture 2")
     visit.page.get_by_role("combobox", name="Show").wait_for()  # only of one capture
     visit.choose("Colour", "Faces")
     visit.wait_for("A orange, B sky blue, C green")
