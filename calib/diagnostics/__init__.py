@@ -8,7 +8,7 @@ from calib.diagnostics.acceptance import (
     refuse_untrustworthy,
 )
 from calib.diagnostics.comparison import Difference, compare
-from calib.diagnostics.contradiction import ContradictionError, refuse_changed_rig, refuse_contradiction
+from calib.diagnostics.contradiction import RIG_CHANGED, ContradictionError, refuse_changed_rig, refuse_contradiction
 from calib.diagnostics.error_propagation import (
     Budget,
     LinearFit,

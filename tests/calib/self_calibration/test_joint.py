@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.diagnostics.contradiction import RIG_CHANGED
+from calib.diagnostics import RIG_CHANGED
 from calib.geometry import Matches
 from calib.refinement import shared_corner
 from calib.refusal import RefusalError
