@@ -26,6 +26,7 @@ _UNRESOLVED, _HARDLY, _COARSEST = 0.1, 0.5, 4
 # resolved stripes, which are neither.
 _ENDS, _FAINT, _NEITHER = (0.1, 0.9), 0.5, 0.45
 _LEAST_OF_EACH = 0.02
+_MOST_BETWEEN_CELLS = 0.5  # share of neighbours in different cells, half a cycle long, where all are near each other
 _SMOOTHED = (5, 5)
 _STEPS_OF_CYCLE = 128  # steps per cycle; gamma shifts fringes of three steps by hundredths of a cycle
 _FEWEST_STEPS = 3  # of a fringe
@@ -130,14 +131,15 @@ def _contradicts_codes(waves: "dict[float, _Wave]", codes: dict[tuple[float, flo
 def _runs_back(cycles: Floats, middle: Floats, certain: Bools) -> bool:
     """Whether a fringe's phase (H, W) falls from pixel to pixel where the coordinate grows.
 
-    `middle`: the coordinate of the cell's middle, so that neighbours in the same cell do not count.
+    `middle`: the coordinate of the cell's middle, so that neighbours in the same cell do not count. If most are in
+    different ones, they may be more than half a cycle apart, and tell nothing.
     """
     both = 0.0
     for axis in (0, 1):
         there = np.minimum.reduce([np.delete(certain, end, axis) for end in (0, -1)])
-        both += float(
-            np.sum((np.sin(2 * np.pi * np.diff(cycles, axis=axis)) * np.sign(np.diff(middle, axis=axis)))[there])
-        )
+        direction = np.sign(np.diff(middle, axis=axis))[there]
+        if direction.size and np.mean(direction != 0) < _MOST_BETWEEN_CELLS:
+            both += float(np.sum(np.sin(2 * np.pi * np.diff(cycles, axis=axis))[there] * direction))
     return both < 0
 
 
