@@ -29,7 +29,7 @@ from calib.refusal import RefusalError
 from calib.rooms import angle_deg, centre_of, gap
 from scanner.configuration import Config
 from scanner.results import Decoded
-from scanner.rooms import RigStart, SolvedRoom, blended, read_stations, rig_from_corners, solve_room
+from scanner.rooms import RigStart, SolvedRoom, blended, read_stations, rig_from_stations, solve_room
 from scanner.ui import Terminal
 
 _BALLS_M, _RADIUS_M = 3.0, 0.12
@@ -246,7 +246,7 @@ def main() -> None:
         print(f"  neighbours overlap by {np.round(100 * overlaps(captures, order, truth))} %", flush=True)
         began = time.process_time()
         try:
-            start = _given(truth) if args.calibrated else rig_from_corners(captures, config, quiet)
+            start = _given(truth) if args.calibrated else rig_from_stations(captures, config, quiet)
             started = time.process_time()
             room = solve_room(captures, start, config, quiet)
         except RefusalError as refusal:

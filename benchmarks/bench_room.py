@@ -33,7 +33,7 @@ from hw.errors import DeviceError
 from scanner.capture import CaptureMetadata
 from scanner.configuration import Config
 from scanner.results import Decoded, GivenMatches
-from scanner.rooms import SolvedRoom, blended, floor_plan, rig_from_corners, solve_room
+from scanner.rooms import SolvedRoom, blended, floor_plan, rig_from_stations, solve_room
 from scanner.ui import Terminal
 
 sys.path.append(str(Path(__file__).parents[1]))
@@ -85,7 +85,7 @@ def measure(true: Sequence[TrueStation], camera: Size) -> Row:
         for number, each in enumerate(true)
     ]
     began = time.process_time()
-    start = rig_from_corners(captures, config, quiet)
+    start = rig_from_stations(captures, config, quiet)
     started = time.process_time()
     room = solve_room(captures, start, config, quiet)
     ended = time.process_time()

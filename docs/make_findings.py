@@ -27,6 +27,7 @@ _TITLES = {
     "calib/boards": "Printed boards",
     "scanner/photos": "Photos",
     "calib/rooms": "Rooms and things",
+    "calib/scene": "Calibration without a corner",
     "calib/networks": "Networks",
     "scanner/live": "Live clouds",
     "scanner/measuring": "Measurements and exports",

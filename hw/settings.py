@@ -114,6 +114,9 @@ class ThingSettings(Settings):
         description="Angle of a turntable step; default: one full turn in all.",
     )
     turntable: bool = Field(default=True, description="On a turntable; otherwise put down differently each time.")
+    tip_deg: float = Field(
+        default=0.0, ge=0.0, le=90.0, description="Angle by which it is tipped at every third step of the turntable."
+    )
     background: bool = Field(default=True, description="Turntable, table and wall are visible.")
     patches: float = Field(default=0.6, ge=0.0, le=1.0, description="Contrast of the patches on its surface.")
     gloss: float = Field(default=0.0, ge=0.0, le=5.0, description="Strength of the highlight.")

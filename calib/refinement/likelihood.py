@@ -117,7 +117,7 @@ class Knowledge:
             mean[CAMERA.start], sigma[CAMERA.start] = np.log(focal), spread / focal
         if self.one_camera:
             sigma[PROJECTOR] = 0.0  # those columns move with the camera's
-        angles = slice(SHARED, layout.corner_columns(0).start)
+        angles = slice(SHARED, SHARED + PER_CORNER * len(layout.off_square))
         sigma[angles] = np.radians(self.squareness_deg)
         powers = np.zeros(layout.size, np.int32)
         if self.rig is None:

@@ -63,8 +63,8 @@ def of_scan(parser: ArgumentParser) -> None:
     add_number(parser, "--captures", what, default=1)
     what = "scan a whole room from N places, moving the rig as a whole in between, and put them together"
     add_number(parser, "--stations", what)
-    add_flag(parser, "--object", "with --stations and --calibration: scan a thing that you turn in between")
-    add_calibration(parser, "with --object: calibration of the rig")
+    add_flag(parser, "--object", "with --stations: scan a thing that you turn in between")
+    add_calibration(parser, "with --object: calibration of the rig (default: by what the stations share)")
     _add_fill(parser)
     add_masks(parser)
     add_new_result(parser, default="scans/<name of the configuration>")
@@ -323,8 +323,9 @@ def of_board(parser: ArgumentParser) -> None:
 @_command(
     "Join stations of one unchanged rig into a room: their poses, the walls, one cloud, a floor plan.",
     """
-Each station should see about a third of what another one saw, and one at least a corner of the room. Stations of
-another room, or of a rig that was changed, are named and left out. To take stations: scan --config FILE --stations N.
+Each station should see about a third of what another one saw. A corner of the room that one of them shows calibrates
+the rig; without any, the points that their pictures share do. Stations of another room, or of a rig that was changed,
+are named and left out. To take stations: scan --config FILE --stations N.
 
 Exit codes: 4 if no two stations belong together, or if they fit together in more than one way, with both answers.
 """,
@@ -354,21 +355,22 @@ def of_network(parser: ArgumentParser) -> None:
 
 
 @_command(
-    "Join stations of a thing seen by one calibrated rig: their poses, one surface, its volume.",
+    "Join stations of a thing seen by one rig: their poses, one surface, its volume.",
     """
 The rig is fixed, and the thing is turned between stations, on a turntable or by hand. Successive stations should
-overlap by half. The static background, such as table and wall, is recognised and left out. To take stations: scan
---config FILE --object --stations N --calibration FILE.
+overlap by half. The static background, such as table and wall, is recognised and left out. Without --calibration, the
+points that the pictures share calibrate the rig: tip the thing once, as turns about one axis do not determine it. To
+take stations: scan --config FILE --object --stations N.
 
-Exit codes: 4 if no two stations belong together, if nothing was turned, if the calibration is of another rig, or if a
-rotation is ambiguous, as for a ball.
+Exit codes: 4 if no two stations belong together, if nothing was turned, if the calibration is of another rig, if the
+stations do not determine one, or if a rotation is ambiguous, as for a ball.
 """,
 )
 def of_object(parser: ArgumentParser) -> None:
     what = "captures, results or matches.npz, in any order; a thing's folder stands for its stations"
     add_paths(parser, "stations", "STATION", what)
     add_config(parser, required=True)
-    add_calibration(parser, "known calibration of the rig", required=True)
+    add_calibration(parser, "known calibration of the rig")
     _add_fill(parser)
     add_new_result(parser)
 

@@ -16,9 +16,9 @@ def run(args: Namespace) -> None:
     if args.resume:
         _resume(args)
     elif args.object or args.fill or args.calibration:
-        if not args.object or args.calibration is None or args.stations is None or args.captures != 1 or args.masks:
+        if not args.object or args.stations is None or args.captures != 1 or args.masks:
             raise InputError(
-                "a thing is scanned with --object --stations N --calibration FILE, without --captures and --masks"
+                "a thing is scanned with --object --stations N [--calibration FILE], without --captures and --masks"
             )
         NAMED["object"].load()(args)
     elif args.stations is not None:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.diagnostics import PoseErrors
+from calib.diagnostics import PoseErrors, Uncertainty
+from calib.finding import Finding
 from calib.geometry import Calibration
 from calib.numerics import Floats
 from calib.objects import AlternativePose, Turntable
@@ -23,7 +24,7 @@ class SolvedObject:
     `JointEstimate`. `apart` (H, W) of each station: distance of its points in front of the others' surfaces, NaN where
     unknown. `turntable`: None if the poses are not those of one; `axis` (2, 3): a point and a direction in the thing's
     frame. `loose`: stations that can rotate or slide. `rests`: share of the visible surfaces that did not move and was
-    left out. `pose_errors`: for the given calibration.
+    left out. `pose_errors`: for the calibration. `uncertainty`: of the calibration, None if unknown. `findings`: on it.
     """
 
     calibration: Calibration
@@ -38,6 +39,8 @@ class SolvedObject:
     outlier_stations: tuple[OutlierStation, ...]
     rests: float
     pose_errors: PoseErrors
+    uncertainty: Uncertainty | None = None
+    findings: tuple[Finding, ...] = ()
 
     @property
     def unit(self) -> str:

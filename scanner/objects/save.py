@@ -30,7 +30,7 @@ def save_object(
     """Write everything. Raises OSError, InputError if Open3D cannot be loaded."""
     made = provenance(folder, config)
     with progress.step("Writing the stations"):
-        write_stations(folder, solved.stations, solved.calibration, verdict_on(solved), None, made)
+        write_stations(folder, solved.stations, solved.calibration, verdict_on(solved), solved.uncertainty, made)
     with progress.step("Blending the clouds"):
         cloud = cloud_of(solved)
         write_room_ply(folder / OBJECT_CLOUD_FILE, cloud)

@@ -95,7 +95,8 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
         turntable = find_turntable(joint.places, joint.covariance, joint.information, joint.middle)
     if len(captures) < FEWEST_TO_REST:
         _refuse_unturned(joint.places)
-    return _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
+    solved = _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
+    return replace(solved, uncertainty=start.uncertainty, findings=start.findings)
 
 
 def _refuse_unturned(places: Sequence[Pose]) -> None:

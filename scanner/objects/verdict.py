@@ -62,6 +62,7 @@ def _findings(solved: SolvedObject) -> Iterator[Finding]:
         message = f"{solved.rests:.0%} of the visible surfaces did not move with the thing, and are left out."
         yield Finding(RESTING, Severity.NOTE, message, data={"resting_share": float(solved.rests)})
     yield from (outlier.warning for outlier in solved.outlier_stations)
+    yield from solved.findings
 
 
 def _reasons(solved: SolvedObject) -> Iterator[str]:

@@ -21,13 +21,15 @@ class RigStart:
     """The rig before its room is estimated, in baselines.
 
     `corners`: the stations from whose corners it was calibrated, by number, with their faces; empty if the calibration
-    was `given`, in its own unit. `uncertainty`: None if a given one states none.
+    was `given`, in its own unit, or is by what stations share. `uncertainty`: None if a given one states none.
+    `findings`: what is worth knowing of it.
     """
 
     calibration: Calibration
     uncertainty: Uncertainty | None
     corners: Mapping[int, Decoded]
     given: Calibration | None = None
+    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,10 @@ from scanner.configuration import Config
 from scanner.exporting import open3d
 from scanner.results import REFUSAL_FILE, Verdict, new_result, provenance, verdict_entries, write_refusal
 from scanner.rooms.contents import SolvedRoom
-from scanner.rooms.corner_rig import rig_from_corners
 from scanner.rooms.document import given_rig, read_stations
 from scanner.rooms.live import check_stations, take_stations
 from scanner.rooms.save import save_room
+from scanner.rooms.scene_rig import rig_from_stations
 from scanner.rooms.solve import solve_room
 from scanner.rooms.verdict import verdict_on
 from scanner.ui import SILENT, Terminal
@@ -29,7 +29,7 @@ def scan_room(
     terminal: Terminal = SILENT,
 ) -> SolvedRoom:
     """Join `stations` of one unchanged rig, in any order; or capture that many, between which it is moved as a
-    whole. With a `calibration`, none of the `stations` has to show a corner.
+    whole. Without a `calibration`, corners that `stations` show calibrate the rig, or what their pictures share.
 
     Raises InputError, DeviceError, RefusalError.
     """
@@ -44,7 +44,7 @@ def scan_room(
             captures, start = take_stations(config, stations, folder, terminal)
         else:
             captures = read_stations(stations, config, terminal, known.given if known else None)
-            start = known or rig_from_corners(captures, config, terminal)
+            start = known or rig_from_stations(captures, config, terminal)
         if any(capture.only_axis for capture in captures):
             start = replace(start, uncertainty=None)  # one axis fits the epipolar lines of any rig
         solved = solve_room(captures, start, config, terminal)

@@ -23,6 +23,7 @@ from scanner.results import CAPTURES_FOLDER, TRUTH_FILE, Decoded
 from scanner.rooms.contents import RigStart
 from scanner.rooms.corner_rig import SeenCorner, corner_in, rig_of
 from scanner.rooms.epipolar_lines import of_another_rig
+from scanner.rooms.scene_rig import rig_from_scene
 from scanner.rooms.solve import CaptureView, segment_capture
 from scanner.rooms.upright import upright
 from scanner.ui import Terminal
@@ -48,24 +49,20 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
     """Capture from this many places, or fewer if the operator ends. Raises DeviceError, RefusalError."""
     captures: list[Decoded] = []
     corners: dict[int, SeenCorner] = {}
-    refusal: RefusalError | None = None
     comparison = StationComparison()
     for step, capture in enumerate(_taken(config, number, folder, terminal, "Move the rig as a whole")):
         captures.append(capture)
         try:
             corners[step] = corner_in(capture, config)
-        except RefusalError as error:
-            refusal = error
+        except RefusalError:
+            if not corners:
+                terminal.show(f"{capture.name} shows no corner; without any, three stations must share what they see.")
         if corners:
             with terminal.step("Comparing with earlier stations"):
                 guidance = comparison.guidance(captures, rig_of(corners, captures).calibration)
             for sentence in guidance:
                 terminal.show(sentence)
-        else:
-            terminal.show(f"{capture.name} shows no corner to calibrate from; one of the stations should.")
-    if not corners and refusal is not None:
-        raise refusal
-    return captures, rig_of(corners, captures)
+    return captures, rig_of(corners, captures) if corners else rig_from_scene(captures, config, terminal)
 
 
 def take_object_stations(config: Config, number: int, folder: Path, terminal: Terminal) -> list[Decoded]:

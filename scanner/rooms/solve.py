@@ -306,7 +306,8 @@ def _finished(
     )
     match_px = float(np.nanmedian([noise.match_px for noise in estimate.levels.stations]))
     captures = [each.decoded for each in registered.seen]
-    findings = [Finding(NO_FLOOR, Severity.NOTE, _UP_OF_IMAGES)] if floor is None else []
+    findings = [*start.findings]
+    findings += [Finding(NO_FLOOR, Severity.NOTE, _UP_OF_IMAGES)] if floor is None else []
     findings += [Finding(BY_SURFACES, Severity.NOTE, _SURFACES_ALONE)] if by_surfaces else []
     return SolvedRoom(
         calibration,

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from calib.geometry import Calibration, Matches, Pose, Size
+from calib.geometry import Calibration, Matches, Pose, Size, rotation_about
 from calib.numerics import Bools, Floats, Image
+from calib.refinement import State, device_of
 from hw.settings import SimulatedRigSettings
-from hw.simulated.things import SimulatedThing, Solid
+from hw.simulated.things import SimulatedThing, Solid, TurntableScene
 from scanner.capture import CaptureMetadata
 from scanner.configuration import Config
 from scanner.results import Decoded, GivenMatches
@@ -39,19 +40,45 @@ def thing_stations(
     found = []
     for step in which:
         settings = SimulatedRigSettings.model_validate({"seed": seed, "pose": step, "thing": {"kind": "lump", **thing}})
-        simulated = SimulatedThing(settings, camera, PROJECTOR)
-        pixels, bright, on_thing = simulated.seen()
-        there = np.isfinite(pixels[..., 0])
-        row, column = np.nonzero(there)
-        noisy = pixels[there] + noise_px * rng.standard_normal((len(row), 2))
-        matches = Matches(
-            np.stack([column, row], axis=1).astype(np.float64), noisy, None, np.full(len(row), max(noise_px, 1e-3))
-        )
-        picture = _exposed(np.where(there, bright, 0.0), rng)
-        found.append(
-            ThingStation(matches, simulated.truth.place, simulated.calibration, picture, on_thing, simulated.solid)
-        )
+        found.append(_station(SimulatedThing(settings, camera, PROJECTOR), noise_px, rng))
     return found
+
+
+def turned_stations(
+    count: int, camera: tuple[int, int], seed: int = 0, noise_px: float = NOISE_PX
+) -> list[ThingStation]:
+    """Stations of a thing alone, turned by 12 to 25° about random axes against the first."""
+    rng = np.random.default_rng([seed, 18])
+    settings = SimulatedRigSettings.model_validate({"seed": seed, "thing": {"kind": "lump", "background": False}})
+    found = []
+    for number in range(count):
+        simulated = SimulatedThing(settings, camera, PROJECTOR)
+        if number:
+            axis = rng.standard_normal(3)
+            turn = rotation_about(axis * np.radians(rng.uniform(12, 25)) / np.linalg.norm(axis))
+            simulated.pose = Pose(
+                turn @ simulated.pose.rotation, simulated.pose.translation + 0.01 * rng.standard_normal(3)
+            )
+            simulated.stage = TurntableScene(simulated.solid, simulated.pose, settings.thing)
+        found.append(_station(simulated, noise_px, rng))
+    return found
+
+
+def _station(simulated: SimulatedThing, noise_px: float, rng: np.random.Generator) -> ThingStation:
+    pixels, bright, on_thing = simulated.seen()
+    there = np.isfinite(pixels[..., 0])
+    row, column = np.nonzero(there)
+    noisy = pixels[there] + noise_px * rng.standard_normal((len(row), 2))
+    matches = Matches(
+        np.stack([column, row], axis=1).astype(np.float64), noisy, None, np.full(len(row), max(noise_px, 1e-3))
+    )
+    picture = _exposed(np.where(there, bright, 0.0), rng)
+    return ThingStation(matches, simulated.truth.place, simulated.calibration, picture, on_thing, simulated.solid)
+
+
+def true_rig(calibration: Calibration) -> State:
+    """The state of a calibration of devices with square pixels."""
+    return State(device_of(calibration.camera), device_of(calibration.projector), calibration.pose.in_baselines)
 
 
 def _exposed(bright: Floats, rng: np.random.Generator) -> Image:

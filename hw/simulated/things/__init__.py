@@ -6,3 +6,4 @@ rotates about the z axis.
 
 from hw.simulated.things.simulation import SimulatedThing, ThingRenderer, ThingTruth
 from hw.simulated.things.solids import Solid
+from hw.simulated.things.stage import TurntableScene

@@ -15,6 +15,7 @@ from hw.settings import ThingSettings
 from hw.simulated.device import PlacedDevice
 from hw.simulated.things.solids import Solid
 
+_TIPPED_EVERY = 3  # steps
 _PLATE_M, _PLATE_OF_SIZE, _PLATE_CORNERS = 0.004, 0.8, 96
 _OFF_CENTRE = 0.08  # distance of the thing from the axis, over its size
 _ELSEWHERE = 0.15  # largest displacement over the size, when the thing is moved by hand
@@ -31,9 +32,11 @@ def pose_of(solid: Solid, settings: ThingSettings, step: int, seed: tuple[int, i
     aside = _OFF_CENTRE * settings.size_m * rng.standard_normal(2)
     if settings.turntable:
         turn = float(settings.step_deg or 360.0 / settings.steps) * step
-        rotation = np.asarray(Rotation.from_euler("z", turn, degrees=True).as_matrix(), np.float64)
-        height = _PLATE_M - float(solid.vertices[:, 2].min())
-        return Pose(rotation, rotation @ np.array([*aside, height]))
+        turned = np.asarray(Rotation.from_euler("z", turn, degrees=True).as_matrix(), np.float64)
+        is_tipped = step % _TIPPED_EVERY == _TIPPED_EVERY - 1
+        tip = np.asarray(Rotation.from_euler("x", is_tipped * settings.tip_deg, degrees=True).as_matrix(), np.float64)
+        height = _PLATE_M - float((solid.vertices @ (tip @ turned).T)[:, 2].min())
+        return Pose(tip @ turned, turned @ np.array([*aside, height]))
     own = np.random.default_rng([*seed, 1, step])
     rotation = np.asarray(Rotation.random(random_state=own).as_matrix(), np.float64)
     aside = aside + _ELSEWHERE * settings.size_m * own.uniform(-1, 1, 2)

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from shutil import rmtree
 
 import numpy as np
 import pytest
@@ -114,7 +115,7 @@ def forget_the_y_patterns(capture: Path) -> None:
 @pytest.mark.parametrize(
     ("break_it", "words"),
     [
-        (lambda capture: (capture / "frames/004.png").unlink(), ("004.png", "missing")),
+        (lambda capture: rmtree(capture / "frames"), ("000.png", "missing")),
         (lambda capture: (capture / "capture.yaml").write_text("frames: 3"), ("'frames'", "'format' is missing")),
         (truncate_frame, ("004.png", "truncated")),
         (forget_the_y_patterns, ("y",)),

@@ -1,0 +1,84 @@
+"""Tracks of keypoints through stations, and where the stations are, from the motions between pairs of them."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from calib.geometry import IDENTITY, Pose
+from calib.numerics import Bools, Floats, Ints
+from calib.scene.bundle import Observations
+from calib.scene.start import SceneStart, triangulated
+from calib.scene.views import SceneView
+
+
+def placed_stations(motions: Mapping[tuple[int, int], tuple[Pose, Bools]], count: int) -> dict[int, Pose]:
+    """Stations that motions connect with the most others, X_station = R X_root + t; the strongest motions first.
+
+    A maximum spanning tree by the number of keypoints that agree (Kruskal).
+    """
+    group = {k: {k: IDENTITY} for k in range(count)}
+    for (i, j), (pose, _) in sorted(motions.items(), key=lambda motion: -int(np.count_nonzero(motion[1][1]))):
+        first, second = group[i], group[j]
+        if first is second:
+            continue
+        # X_i = pose X_j, X_i = first[i] X_a, X_j = second[j] X_b, so that X_b = second[j]⁻¹ pose⁻¹ first[i] X_a.
+        bridge = second[j].inverse() @ pose.inverse() @ first[i]
+        first |= {k: place @ bridge for k, place in second.items()}
+        for k in second:
+            group[k] = first
+    largest = max(group.values(), key=len)
+    root = largest[min(largest)].inverse()
+    return {k: largest[k] @ root for k in sorted(largest)}
+
+
+def observe(
+    start: SceneStart,
+    views: Sequence[SceneView],
+    pairs: Mapping[tuple[int, int], tuple[Ints, Ints]],
+    places: Mapping[int, Pose],
+) -> tuple[Observations, Floats]:
+    """Observations of keypoints that agree between placed stations, and their points (N, 3) in the first one's frame.
+
+    `station` numbers the placed stations in their order. A track that has two keypoints of one station is left out.
+    """
+    offsets = np.cumsum([0, *map(len, views)])
+    ones, others = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for (i, j), (_, near) in start.motions.items():
+        if i in places and j in places:
+            own, matching = pairs[i, j]
+            ones.append(offsets[i] + own[near])
+            others.append(offsets[j] + matching[near])
+    rows, columns = np.concatenate(ones), np.concatenate(others)
+    links = coo_array((np.ones(len(rows)), (rows, columns)), (offsets[-1], offsets[-1]))
+    _, label = connected_components(links, directed=False)
+    keypoint = np.unique(np.concatenate([rows, columns]))
+    station_of = np.searchsorted(offsets, keypoint, side="right") - 1
+    track = label[keypoint]
+    _, number, size = np.unique(track, return_inverse=True, return_counts=True)
+    _, doubled = np.unique(np.stack([track, station_of]), axis=1, return_counts=True)
+    ambiguous = np.unique(np.unique(np.stack([track, station_of]), axis=1)[0][doubled > 1])
+    kept = (size[number] > 1) & ~np.isin(track, ambiguous)
+    keypoint, station_of = keypoint[kept], station_of[kept]
+    _, point = np.unique(track[kept], return_inverse=True)
+    by_point = np.argsort(point, kind="stable")
+    keypoint, station_of, point = keypoint[by_point], station_of[by_point], point[by_point]
+    order = {k: n for n, k in enumerate(places)}
+
+    seen = Observations(
+        point.astype(np.int64),
+        np.array([order[k] for k in station_of.tolist()], np.int64),
+        np.concatenate([view.camera_px for view in views])[keypoint],
+        np.concatenate([view.projector_px for view in views])[keypoint],
+        np.concatenate([view.slope for view in views])[keypoint],
+        np.concatenate([view.sigma_px for view in views])[keypoint],
+    )
+    own = np.concatenate([triangulated(start.rig, view) for view in views])[keypoint]
+    back = Pose.stack([places[k].inverse() for k in station_of.tolist()])
+    at_first = np.einsum("mij,mj->mi", back.rotation, own) + back.translation
+    total, weight = np.zeros((int(point.max(initial=-1)) + 1, 3)), np.zeros(int(point.max(initial=-1)) + 1)
+    known = np.isfinite(at_first[:, 2])
+    np.add.at(total, point[known], at_first[known])
+    np.add.at(weight, point[known], 1.0)
+    return seen, total / np.maximum(weight, 1.0)[:, None]

@@ -1,0 +1,218 @@
+"""Views of a scene for a calibration without a corner: keypoints of each picture, with the projector pixels there.
+
+A keypoint is found in the camera's picture, to a third of a pixel or so; where it is in the projector's, the matches
+around it tell a hundred times as accurately for the same point of the surface. So each keypoint carries the affine map
+from camera to projector pixels at its place: an error along the surface moves both pixels together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from calib.geometry import Matches, Size
+from calib.numerics import Bools, Floats, Image, Ints, at_random
+from calib.registration import log_brightness
+
+_MOST = 800  # keypoints of a picture as it looks from one side
+_CONTRAST = 0.015
+_TILTS, _TURN_DEG = 2, 72.0  # simulated views: slants up to 60°, turned by 72° over each tilt
+_ONE_PLACE_PX = 1.0
+_HALF_WINDOW = 3  # pixels around a keypoint whose matches tell its place in the projector
+_FEWEST = 30  # matches in the window
+_MOST_BEND_PX = 0.5  # rms of the window's matches about an affine map: more is an edge
+_RESTS_PX = 1.0  # the same camera pixel sees the same projector pixel in another view
+_RATIO, _SAME = 0.8, 0.01  # of the distances to the two nearest descriptors (Lowe 2004); equal descriptors
+
+
+@dataclass(frozen=True, eq=False)
+class SceneView:
+    """What one station of an unchanged rig saw of a rigid scene."""
+
+    matches: Matches
+    """All that moved against the rig since another station."""
+    camera_px: Floats
+    """(K, 2): keypoints in the camera's picture."""
+    projector_px: Floats
+    """(K, 2): the same in the projector's."""
+    slope: Floats
+    """(K, 2, 2): derivatives of the projector's pixel by the camera's, along the surface."""
+    sigma_px: Floats
+    """(K,): standard deviation of each coordinate of `projector_px`, for a given camera pixel."""
+    descriptors: NDArray[np.float32]
+    """(D, 128), of length 1: several of a keypoint, as it looks from several sides."""
+    owner: Ints
+    """(D,): the keypoint of each descriptor."""
+
+    def __len__(self) -> int:
+        return len(self.camera_px)
+
+
+def views_of(captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, int]) -> tuple[list[SceneView], float]:
+    """Views of captures with pictures (H, W) or (H, W, 3), and the share of matches that rested in all of them.
+
+    What is at the same pixel of both devices in most other captures did not move against the rig: the table around a
+    turntable. It is left out, for the rest moved differently. Raises ValueError if a picture has another size.
+    """
+    maps = [_map_of(matches, camera_size) for matches, _ in captures]
+    resting = [_resting(maps, number) for number in range(len(maps))]
+    views = []
+    for (matches, picture), places, rests in zip(captures, maps, resting, strict=True):
+        if picture.shape[:2] != places.shape[:2]:
+            raise ValueError(f"the picture must have the shape {places.shape[:2]}, found {picture.shape[:2]}")
+        column, row = np.rint(matches.camera_px).astype(np.int64).T
+        views.append(_view(matches[~rests[row, column]], picture, places, ~rests & np.isfinite(places[..., 0])))
+    decoded = sum(int(np.isfinite(places[..., 0]).sum()) for places in maps)
+    return views, sum(int(rests.sum()) for rests in resting) / max(decoded, 1)
+
+
+def match_views(first: SceneView, second: SceneView) -> tuple[Ints, Ints]:
+    """Mutually best matching keypoints of two views, (M,) of either."""
+    if min(len(first), len(second)) < 2:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    product = first.descriptors @ second.descriptors.T
+    there = _clearly_nearest(product, first.owner, second.owner)
+    back = _clearly_nearest(product.T, second.owner, first.owner)
+    own = np.flatnonzero(there >= 0)
+    mutual: Ints = own[back[there[own]] == own]
+    return mutual, there[mutual]
+
+
+def matched_pairs(views: Sequence[SceneView]) -> dict[tuple[int, int], tuple[Ints, Ints]]:
+    """`match_views` of every two views, without what rests against the rig, at the same place in both pictures."""
+    pairs = {}
+    for i, j in combinations(range(len(views)), 2):
+        own, matching = match_views(views[i], views[j])
+        apart = np.abs(views[i].camera_px[own] - views[j].camera_px[matching]).max(axis=1, initial=0.0)
+        lit = np.abs(views[i].projector_px[own] - views[j].projector_px[matching]).max(axis=1, initial=0.0)
+        moved = np.maximum(apart, lit) > 2 * _RESTS_PX
+        pairs[i, j] = own[moved], matching[moved]
+    return pairs
+
+
+def some_matches(views: Sequence[SceneView], count: int) -> Matches:
+    """At most `count` matches of each view at random, with sigmas."""
+    chosen = [view.matches[at_random(len(view.matches), count)] for view in views]
+    return Matches(
+        np.concatenate([matches.camera_px for matches in chosen]),
+        np.concatenate([matches.projector_px for matches in chosen]),
+        None,
+        np.concatenate([_sigma(matches) for matches in chosen]),
+    )
+
+
+def _sigma(matches: Matches) -> Floats:
+    return np.full(len(matches), 1.0) if matches.sigma_px is None else matches.sigma_px
+
+
+def _map_of(matches: Matches, size: tuple[int, int]) -> Floats:
+    """The projector's pixel and its sigma at each camera pixel, (H, W, 3); NaN where there is none."""
+    width, height = Size(*size)
+    places = np.full((height, width, 3), np.nan)
+    column, row = np.rint(matches.camera_px).astype(np.int64).T
+    places[row, column, :2], places[row, column, 2] = matches.projector_px, _sigma(matches)
+    return places
+
+
+def _resting(maps: Sequence[Floats], number: int) -> Bools:
+    """Where a view sees what it sees in most of the others, (H, W)."""
+    own = maps[number][..., :2]
+    same, seen = np.zeros(own.shape[:2], np.int64), np.zeros(own.shape[:2], np.int64)
+    for k, places in enumerate(maps):
+        if k != number:
+            apart = np.abs(places[..., :2] - own).max(axis=2)
+            seen += np.isfinite(apart)
+            same += apart < _RESTS_PX
+    return (2 * same > seen) & (seen > 0)
+
+
+def _view(matches: Matches, picture: Image, places: Floats, moving: Bools) -> SceneView:
+    side = 2 * _HALF_WINDOW + 1
+    inside = np.asarray(cv2.erode(moving.astype(np.uint8), np.ones((side, side), np.uint8)), np.uint8)
+    pixels, owner, descriptors = _keypoints(log_brightness(picture), inside)
+    lifted, slopes, sigma, is_smooth = _lifted(places, pixels)
+    kept = is_smooth[owner]
+    number = np.cumsum(is_smooth) - 1
+    return SceneView(
+        matches,
+        pixels[is_smooth],
+        lifted[is_smooth],
+        slopes[is_smooth],
+        sigma[is_smooth],
+        descriptors[kept],
+        number[owner[kept]],
+    )
+
+
+def _keypoints(picture: NDArray[np.uint8], mask: NDArray[np.uint8]) -> tuple[Floats, Ints, NDArray[np.float32]]:
+    """Keypoints (K, 2) of a picture as it looks from several sides, and their descriptors (D, 128) with owners (D,).
+
+    Yu and Morel, "ASIFT: an algorithm for fully affine invariant comparison", 2011. What is found at one place in
+    several of the simulated views is one keypoint.
+    """
+    finder = cv2.AffineFeature.create(
+        cv2.SIFT.create(nfeatures=_MOST, contrastThreshold=_CONTRAST), maxTilt=_TILTS, rotateStepBase=_TURN_DEG
+    )
+    keypoints, descriptors = finder.detectAndCompute(picture, mask)
+    if not keypoints:
+        return np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros((0, 128), np.float32)
+    order = np.argsort([-keypoint.response for keypoint in keypoints], kind="stable")
+    pixels = np.array([keypoint.pt for keypoint in keypoints])[order]
+    within = cKDTree(pixels).query_ball_point(pixels, _ONE_PLACE_PX)
+    owner = np.array([min(near) for near in within], np.int64)
+    owner = owner[owner]  # a chain of near keypoints belongs to the strongest
+    strongest, owner = np.unique(owner, return_inverse=True)
+    root = np.sqrt(descriptors[order] / np.maximum(descriptors[order].sum(axis=1, keepdims=True), 1e-12))
+    return pixels[strongest], owner.astype(np.int64), root.astype(np.float32)
+
+
+def _lifted(places: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats, Bools]:
+    """Projector pixels (K, 2) at camera pixels (K, 2), their slopes (K, 2, 2) and sigmas (K,), and where the matches
+    around are on one smooth surface (K,).
+    """
+    height, width = places.shape[:2]
+    steps = np.arange(-_HALF_WINDOW, _HALF_WINDOW + 1)
+    column, row = np.rint(pixels).astype(np.int64).T
+    x = np.clip(column[:, None, None] + steps[None, None, :], 0, width - 1)
+    y = np.clip(row[:, None, None] + steps[None, :, None], 0, height - 1)
+    x, y = np.broadcast_arrays(x, y)
+    around = places[y, x].reshape(len(pixels), len(steps) ** 2, 3)
+    known = np.isfinite(around[..., 0])
+    right, down = (at.reshape(known.shape) - pixels[:, k : k + 1] for k, at in enumerate((x, y)))
+    design = np.stack([np.ones(known.shape), right, down, right**2, right * down, down**2], axis=-1)
+    weighted = design * known[..., None]
+    values = np.where(known[..., None], around[..., :2], 0.0)
+    normal = np.einsum("kni,knj->kij", weighted, design) + 1e-9 * np.eye(design.shape[2])
+    fit = np.linalg.solve(normal, np.einsum("kni,knj->kij", weighted, values))
+    off = (values - np.einsum("kni,kij->knj", design, fit)) * known[..., None]
+    count = known.sum(axis=1)
+    rms = np.sqrt(np.sum(off**2, axis=(1, 2)) / np.maximum(2 * count - 12, 1))
+    with np.errstate(invalid="ignore"):
+        sigma = np.where(
+            count > 0, np.nansum(np.where(known, around[..., 2], 0.0), axis=1) / np.maximum(count, 1), np.nan
+        )
+    return (
+        fit[:, 0],
+        np.swapaxes(fit[:, 1:3], 1, 2),
+        np.maximum(sigma, 1e-3),
+        (count >= _FEWEST) & (rms < _MOST_BEND_PX),
+    )
+
+
+def _clearly_nearest(product: NDArray[np.float32], own: Ints, owner: Ints) -> Ints:
+    """For each keypoint, by products of its descriptors' rows with others', the nearest keypoint; −1 where a second one
+    is almost as near. `own` and `owner`: the keypoints of rows and columns.
+    """
+    nearest = product.argmax(axis=1)
+    rows = np.arange(len(product))
+    rest = np.where(owner == owner[nearest][:, None], np.float32(-1), product)
+    near, next_one = (np.sqrt(np.maximum(2 - 2 * best, 0.0)) for best in (product[rows, nearest], rest.max(axis=1)))
+    clear = near + _SAME < _RATIO * next_one
+    found = np.full(own.max(initial=-1) + 1, -1)
+    worst_first = np.flatnonzero(clear)[np.argsort(-near[clear], kind="stable")]
+    found[own[worst_first]] = owner[nearest[worst_first]]
+    return found

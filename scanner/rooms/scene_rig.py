@@ -1,0 +1,76 @@
+"""A rig's calibration from its stations: from the corners that they show or, without any, from what they share."""
+
+from collections.abc import Sequence
+
+from calib.finding import Finding, FindingKind, Severity
+from calib.refusal import RefusalError
+from calib.scene import SceneCalibration, calibrate_scene
+from scanner.configuration import Config
+from scanner.reconstruction import lenses_of
+from scanner.results import Decoded
+from scanner.rooms.contents import RigStart
+from scanner.rooms.corner_rig import NO_STATION_WITH_CORNER, rig_from_corners
+from scanner.ui import Progress
+
+NO_PICTURES = FindingKind(
+    "stations-without-pictures",
+    "Stations without a corner have no pictures by which points could be recognised.",
+    "Give captures or results with their recordings instead of matches alone, or the rig's --calibration.",
+    data=("captures",),
+)
+BY_SCENE = FindingKind(
+    "calibrated-by-scene",
+    "The rig was calibrated by points that the stations' pictures share, without a corner or a board.",
+    data=("captures", "points", "camera_focal_percent", "projector_focal_percent"),
+)
+
+
+def rig_from_stations(stations: Sequence[Decoded], config: Config, progress: Progress) -> RigStart:
+    """The rig by corners, or without any by what the stations share. Raises RefusalError."""
+    try:
+        return rig_from_corners(stations, config, progress)
+    except RefusalError as no_corner:
+        if no_corner.finding.kind != NO_STATION_WITH_CORNER:
+            raise
+        try:
+            return rig_from_scene(stations, config, progress)
+        except RefusalError as refusal:
+            reason = f"{no_corner.reason} Without a corner: {refusal.reason}"
+            raise RefusalError(refusal.finding.kind, reason, refusal.advice, refusal.finding.data) from None
+
+
+def rig_from_scene(stations: Sequence[Decoded], config: Config, progress: Progress) -> RigStart:
+    """The rig by what the stations share. Raises RefusalError."""
+    sizes = stations[0].metadata.camera_size, stations[0].metadata.projector_size
+    pictures = [(station.matches, station.texture) for station in stations if station.texture is not None]
+    without = len(stations) - len(pictures)
+    if without:
+        message = f"{without} of {len(stations)} stations have no picture by which points could be recognised."
+        raise RefusalError(NO_PICTURES, message, NO_PICTURES.remedy, {"captures": float(without)})
+    with progress.step("Calibrating by what the stations share"):
+        solved = calibrate_scene(
+            pictures,
+            *sizes,
+            principal_point=config.principal_point(sizes[0]),
+            lenses=lenses_of(config, *sizes),
+        )
+    return RigStart(solved.calibration, solved.uncertainty, {}, findings=(finding_on(solved),))
+
+
+def finding_on(solved: SceneCalibration) -> Finding:
+    """What the calibration was made from, and how sure it is."""
+    sigma = solved.calibration.sigma
+    devices = (sigma.camera, solved.calibration.camera), (sigma.projector, solved.calibration.projector)
+    percents = [100 * own.focal_px[0] / device.focal_px[0] for own, device in devices if own.focal_px is not None]
+    return Finding(
+        BY_SCENE,
+        Severity.NOTE,
+        f"Calibrated without a corner, by {solved.points} points that {len(solved.stations)} stations share: focal "
+        f"lengths ± {percents[0]:.2g} % (camera) and ± {percents[1]:.2g} % (projector).",
+        data={
+            "captures": float(len(solved.stations)),
+            "points": float(solved.points),
+            "camera_focal_percent": percents[0],
+            "projector_focal_percent": percents[1],
+        },
+    )

@@ -1,0 +1,77 @@
+"""Calibration without a corner: within its sigmas of the truth, or refused with what would help."""
+
+import numpy as np
+import pytest
+
+from calib.geometry import Matches
+from calib.numerics import Floats, Image
+from calib.refusal import RefusalError
+from calib.scene import SceneCalibration, calibrate_scene
+from calib.scene.calibrate import NO_COMMON_POINTS, NOTHING_MOVED, ONE_AXIS, TOO_FEW_STATIONS
+from calib.self_calibration import PrincipalPoint
+from tests.support.things import PROJECTOR, ThingStation, thing_stations, true_rig, turned_stations
+
+CAMERA = (612, 512)
+
+
+def calibrated(captures: list[tuple[Matches, Image]], camera: tuple[int, int] = CAMERA) -> SceneCalibration:
+    centre = PrincipalPoint(((camera[0] - 1) / 2, (camera[1] - 1) / 2), 0.03 * camera[0])
+    return calibrate_scene(captures, camera, PROJECTOR, principal_point=centre)
+
+
+def captures_of(stations: list[ThingStation]) -> list[tuple[Matches, Image]]:
+    return [(station.matches, station.picture) for station in stations]
+
+
+@pytest.fixture(scope="module")
+def stations() -> list[ThingStation]:
+    return turned_stations(6, CAMERA, seed=0)
+
+
+def in_sigmas(found: SceneCalibration, station: ThingStation) -> Floats:
+    error = found.uncertainty.rig.step_to(true_rig(station.calibration))
+    return np.asarray(error / np.sqrt(np.diag(found.uncertainty.covariance)), np.float64)
+
+
+def test_six_sides_of_a_thing_calibrate_the_rig(stations: list[ThingStation]) -> None:
+    found = calibrated(captures_of(stations))
+    assert found.stations == (0, 1, 2, 3, 4, 5)
+    assert found.points > 100
+    ratio = in_sigmas(found, stations[0])
+    assert 0.3 < np.sqrt(np.mean(ratio**2)) < 2.0
+    focal, sigma = found.calibration.camera.focal_px[0], found.calibration.sigma.camera.focal_px
+    assert sigma is not None
+    assert abs(focal / stations[0].calibration.camera.focal_px[0] - 1) < 0.01
+    assert 2e-4 < sigma[0] / focal < 5e-3
+
+
+def test_turns_about_one_axis_are_refused() -> None:
+    with pytest.raises(RefusalError) as refusal:
+        calibrated(captures_of(thing_stations([*range(6)], CAMERA, steps=24)))
+    assert refusal.value.finding.kind == ONE_AXIS
+    assert "Tip the object" in refusal.value.advice
+
+
+def test_two_stations_are_too_few(stations: list[ThingStation]) -> None:
+    with pytest.raises(RefusalError) as refusal:
+        calibrated(captures_of(stations[:2]))
+    assert refusal.value.finding.kind == TOO_FEW_STATIONS
+
+
+def test_stations_at_one_place_are_refused(stations: list[ThingStation]) -> None:
+    with pytest.raises(RefusalError) as refusal:
+        calibrated(captures_of([stations[0]] * 3))
+    assert refusal.value.finding.kind == NOTHING_MOVED
+
+
+def test_pictures_without_points_are_refused(stations: list[ThingStation]) -> None:
+    plain = [(station.matches, np.full_like(station.picture, 128)) for station in stations]
+    with pytest.raises(RefusalError) as refusal:
+        calibrated(plain)
+    assert refusal.value.finding.kind == NO_COMMON_POINTS
+
+
+def test_a_picture_of_another_size_is_named(stations: list[ThingStation]) -> None:
+    matches, picture = captures_of(stations)[0]
+    with pytest.raises(ValueError, match="the picture must have the shape"):
+        calibrated([(matches, picture[:100])] * 3)
