@@ -41,15 +41,15 @@ def _nothing(*_: object) -> None:
 Off = tuple[tuple[str, str, Callable[..., object]], ...]
 SWITCHED_OFF: dict[str, Off] = {
     "all corrections": (),
-    "without straightening of gamma": (("decoder_calibration", "straightening", _nothing),),
-    "without shading": (("coordinate_maps", "footprint_of", lambda *_: Footprint.round(0.0)),),
-    "without comparing periods": (("axis_decoder", "correct_systematic", _nothing),),
+    "without straightening of gamma": (("coordinates.decoder_calibration", "straightening", _nothing),),
+    "without shading": (("coordinates.coordinate_maps", "footprint_of", lambda *_: Footprint.round(0.0)),),
+    "without comparing periods": (("coordinates.axis_decoder", "correct_systematic", _nothing),),
     "without equalising": (
         ("sample_analysis", "swings_of", lambda *_: {}),
-        ("code_images", "gains_of_pairs", lambda *_: {}),
+        ("coordinates.code_images", "gains_of_pairs", lambda *_: {}),
     ),
     "without taking motion back": (("motion.device_motion", "CoordinateShift.subtract_from", _nothing),),
-    "with wrong bits left": (("axis_decoder", "resolve_contradictory_codes", _nothing),),
+    "with wrong bits left": (("coordinates.axis_decoder", "resolve_contradictory_codes", _nothing),),
 }
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calib.geometry import PixelGrid
 from hw import real_devices
 from hw.aravis import AravisRigSettings
 from hw.errors import DeviceError
@@ -31,7 +32,7 @@ class Bench:
     cameras: dict[str, SimpleNamespace] = field(default_factory=dict)
 
     @contextmanager
-    def window(self, wanted: int, size: tuple[int, int]) -> Iterator[SimulatedWindow]:
+    def window(self, wanted: int, size: tuple[int, int], _: PixelGrid) -> Iterator[SimulatedWindow]:
         window = SimulatedWindow(size, lambda picture: self.shown.update({wanted: picture}))
         window.screen = window.screen.__class__(wanted, "screen", 0, 0, *size, 60.0 if wanted < 5 else 50.0)
         self.opened.append(f"screen {wanted}")

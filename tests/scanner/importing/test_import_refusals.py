@@ -160,7 +160,7 @@ def test_photographs_without_patterns(tmp_path: Path, capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--from", "opencv4"), "expected one of opencv, procam-calibration"),
+        (("--from", "opencv4"), "expected one of scan, opencv, procam-calibration"),
         (("--projector", "1024"), "--projector 1024: expected a size like 1024x768"),
         (("--cell", "0"), "--cell 0: expected a number of pixels from 1 to 4096"),
     ],
