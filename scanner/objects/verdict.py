@@ -9,7 +9,7 @@ from calib.refusal import AMBIGUOUS
 from scanner.objects.contents import SolvedObject
 from scanner.quantities import shown_unit
 from scanner.results import Verdict, fit_together
-from scanner.rooms import LOOSE_STATIONS
+from scanner.rooms import BY_SCENE, LOOSE_STATIONS, weakness_of
 
 _ADVICE = (
     "Make its sides different, for example with painted spots or scraps of paper, so that the pictures show how it was "
@@ -34,6 +34,8 @@ def verdict_on(solved: SolvedObject) -> Verdict:
     if decisive is not None and decisive.kind == LOOSE_STATIONS:
         return Verdict("refused", decisive.message, reasons, decisive.advice, findings, kinds)
     together = fit_together(len(names), len(names) + len(solved.outlier_stations), "object")
+    if weakness := weakness_of(solved.calibration, findings):
+        return Verdict("fair", f"{together}, but {weakness}", reasons, BY_SCENE.remedy, findings, kinds)
     if solved.outlier_stations:
         outliers = ", ".join(station.name for station in solved.outlier_stations)
         return Verdict("fair", f"{together}; left out: {outliers}.", reasons, findings=findings, kinds=kinds)

@@ -8,7 +8,7 @@ from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.jobs import scan_room, writing_refusals
 from scanner.rooms.live import StationComparison, check_stations, take_object_stations
 from scanner.rooms.mesh import CAMERA_FROM_ROOM
-from scanner.rooms.scene_rig import rig_from_scene, rig_from_stations
+from scanner.rooms.scene_rig import BY_SCENE, rig_from_scene, rig_from_stations, weakness_of
 from scanner.rooms.solve import solve_room
 from scanner.rooms.textures import part_of
 from scanner.rooms.verdict import LOOSE_STATIONS, verdict_on

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 
-from calib.finding import Finding, FindingKind, Severity
+from calib.finding import Finding, FindingKind, Severity, of_kinds
+from calib.geometry import Calibration
 from calib.refusal import RefusalError
 from calib.scene import SceneCalibration, calibrate_scene
 from scanner.configuration import Config
+from scanner.quantities import relative_focal_sigmas
 from scanner.reconstruction import lenses_of
-from scanner.results import Decoded
+from scanner.results import MEASUREMENT_GRADE, Decoded
 from scanner.rooms.contents import RigStart
 from scanner.rooms.corner_rig import NO_STATION_WITH_CORNER, rig_from_corners
 from scanner.ui import Progress
@@ -21,6 +23,7 @@ NO_PICTURES = FindingKind(
 BY_SCENE = FindingKind(
     "calibrated-by-scene",
     "The rig was calibrated by points that the stations' pictures share, without a corner or a board.",
+    "For smaller sigmas take more stations, turned about different axes by 10 to 30° each, or calibrate from a corner.",
     data=("captures", "points", "camera_focal_percent", "projector_focal_percent"),
 )
 
@@ -55,6 +58,14 @@ def rig_from_scene(stations: Sequence[Decoded], config: Config, progress: Progre
             lenses=lenses_of(config, *sizes),
         )
     return RigStart(solved.calibration, solved.uncertainty, {}, findings=(finding_on(solved),))
+
+
+def weakness_of(calibration: Calibration, findings: Sequence[Finding]) -> str | None:
+    """What to say of a rig that its stations calibrate worse than measuring needs; None otherwise."""
+    worst = max(relative_focal_sigmas(calibration).values(), default=0.0)
+    if worst <= MEASUREMENT_GRADE or not of_kinds(findings, BY_SCENE):
+        return None
+    return f"the rig's focal lengths, which the stations calibrate, are only known to ± {100 * worst:.2g} %."
 
 
 def finding_on(solved: SceneCalibration) -> Finding:

@@ -9,6 +9,7 @@ from calib.refusal import AMBIGUOUS
 from scanner.quantities import shown_unit
 from scanner.results import Verdict, fit_together
 from scanner.rooms.contents import SolvedRoom
+from scanner.rooms.scene_rig import BY_SCENE, weakness_of
 
 # Each station then has less weight, because its smooth errors are common to all.
 _MOST_ALIKE = 2.0
@@ -47,6 +48,8 @@ def verdict_on(room: SolvedRoom) -> Verdict:
         headline = f"{together}, but the lenses have distortion that is not modelled."
         reasons = (decisive.message, *reasons)
         return Verdict("fair", headline, reasons, decisive.advice, findings, (*kinds, UNMODELLED_DISTORTION))
+    if weakness := weakness_of(room.calibration, findings):
+        return Verdict("fair", f"{together}, but {weakness}", reasons, BY_SCENE.remedy, findings, kinds)
     if room.outlier_stations:
         outliers = ", ".join(station.name for station in room.outlier_stations)
         return Verdict("fair", f"{together}; left out: {outliers}.", reasons, findings=findings, kinds=kinds)

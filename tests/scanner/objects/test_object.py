@@ -9,12 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.deferred_imports import open3d
+from calib.finding import Finding, Severity
+from calib.geometry import DeviceSigmas, Sigmas
 from calib.refusal import RefusalError
 from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object
 from scanner.objects.surface import area_of, cloud_of, is_closed, surface_of, volume_of
 from scanner.objects.verdict import verdict_on
-from scanner.rooms import CAMERA_FROM_ROOM, RigStart, read_stations
+from scanner.rooms import BY_SCENE, CAMERA_FROM_ROOM, RigStart, read_stations
 from scanner.ui import Terminal
 from scanner.viewing import ViewedResult
 from tests.support.things import ThingStation, between, config_for, decoded, thing_stations
@@ -204,3 +206,21 @@ def test_the_volume_of_a_closed_surface_is_reported() -> None:
     assert not is_closed(solid.triangles[1:])
     assert volume_of(solid.vertices + 1.0, solid.triangles) == pytest.approx(solid.volume, rel=1e-9)
     assert area_of(solid.vertices, solid.triangles) == pytest.approx(solid.area, rel=1e-9)
+
+
+@pytest.mark.parametrize(("percent", "grade"), [(0.3, "good"), (1.2, "fair")])
+def test_a_rig_that_its_stations_hardly_calibrate_is_fair(
+    turned: tuple[list[ThingStation], SolvedObject], percent: float, grade: str
+) -> None:
+    _, found = turned
+    calibration = found.calibration
+    camera, projector = (
+        DeviceSigmas((device.focal_px[0] * percent / 100,) * 2)
+        for device in (calibration.camera, calibration.projector)
+    )
+    weak = replace(calibration, sigma=Sigmas(camera, projector))
+    by_scene = Finding(BY_SCENE, Severity.NOTE, "Calibrated without a corner.")
+    verdict = verdict_on(replace(found, calibration=weak, findings=(by_scene,)))
+    assert verdict.grade == grade
+    assert ("± 1.2 %" in verdict.headline) == (grade == "fair")
+    assert verdict_on(replace(found, calibration=weak)).grade == "good"  # given with those sigmas
