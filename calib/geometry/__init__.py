@@ -51,6 +51,7 @@ from calib.geometry.radial_distortion import (
 from calib.geometry.triangulation import (
     Intersections,
     before_the_matches,
+    depths_of_rays,
     depths_on_stripes,
     intersect,
     intersect_rays,

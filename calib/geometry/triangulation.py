@@ -17,6 +17,7 @@ _PARALLEL = (8 * 2.0**-52) ** 2
 _LENS_STEPS = 3
 # Largest last step towards an ideal point: the error after it, about its square, is below the rounding of a pixel.
 _CONVERGED = 3e-5
+_PARALLEL = 1e-15  # squared sine of the angle between rays of length 1
 _NUMBERS = 8  # numbers per match, to choose pieces that fit into the cache
 
 
@@ -225,6 +226,15 @@ def nearest_depths(turned: Floats, directions: Floats, translation: Floats) -> t
     by_p = (e * q - c * t - 2 * d * (c * p - b * q)) / determinant
     by_q = (e * p + b * t - 2 * g * q - 2 * d * (a * q - b * p)) / determinant
     return d[:, 0], by_p, by_q, (b * q - c * p) / determinant
+
+
+def depths_of_rays(turned: Floats, directions: Floats, translation: Floats) -> Floats:
+    """The d and s (N, 2) that minimise |d p + t − s q|, for p, q (N, 3) and t (3,); huge for parallel rays."""
+    p, q, t = turned, directions, translation
+    a, b, c = (np.sum(x * y, axis=1) for x, y in ((p, p), (p, q), (q, q)))
+    e, g = q @ t, p @ t
+    depths: Floats = np.stack([b * e - c * g, a * e - b * g], axis=1) / np.maximum(a * c - b**2, _PARALLEL)[:, None]
+    return depths
 
 
 _SAMPLE = 10_000  # the median of so many lengths is known to 0.7 %

@@ -6,10 +6,13 @@ from calib.registration.keypoints import (
     Keypoints,
     describe_keypoints,
     find_keypoints,
+    for_hellinger,
     log_brightness,
     match_keypoints,
+    mutual_matches,
     no_keypoints,
     rectify_texture,
+    sift,
 )
 from calib.registration.outlier_stations import ANOTHER_ROOM, SOMETHING_MOVED
 from calib.registration.range_view import StationView, pixel_under, rotate_vector, sample_evenly, station_view

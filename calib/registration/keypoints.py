@@ -7,6 +7,7 @@ Zisserman, "Three things everyone should know to improve object retrieval", 2012
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -102,39 +103,61 @@ def find_keypoints(
     )
 
 
+def sift(most: int) -> cv2.SIFT:
+    """The finder of at most so many keypoints in a picture of `log_brightness`."""
+    return cv2.SIFT.create(nfeatures=most, contrastThreshold=_CONTRAST)
+
+
+def for_hellinger(descriptors: NDArray[Any]) -> NDArray[np.float32]:
+    """Descriptors (N, 128) of length 1 whose products compare those of SIFT by Hellinger's distance."""
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
+    return np.asarray(root, np.float32)
+
+
 def describe_keypoints(
     picture: NDArray[np.uint8], mask: NDArray[np.uint8], most: int
 ) -> tuple[Floats, NDArray[np.float32]]:
     """Pixels (N, 2) that stand out where a mask (H, W) is set, at most so many, and their descriptors (N, 128)."""
-    finder = cv2.SIFT.create(nfeatures=most, contrastThreshold=_CONTRAST)
-    keypoints, descriptors = finder.detectAndCompute(picture, mask)
+    keypoints, descriptors = sift(most).detectAndCompute(picture, mask)
     if not keypoints:
         return np.zeros((0, 2)), np.zeros((0, _DESCRIPTOR), np.float32)
-    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
-    return np.array([keypoint.pt for keypoint in keypoints]), root.astype(np.float32)
+    return np.array([keypoint.pt for keypoint in keypoints]), for_hellinger(descriptors)
 
 
 @lru_cache(maxsize=512)
 def match_keypoints(first: Keypoints, second: Keypoints) -> tuple[Ints, Ints]:
     """Mutually best matching keypoints of two stations, (M,) of either."""
+    owners = np.arange(len(first)), np.arange(len(second))
+    return mutual_matches(first.descriptors, second.descriptors, *owners)
+
+
+def mutual_matches(
+    first: NDArray[np.float32], second: NDArray[np.float32], first_owner: Ints, second_owner: Ints
+) -> tuple[Ints, Ints]:
+    """Mutually best matching keypoints (M,) of either side, by descriptors (D, 128) of the keypoints `owner` (D,)."""
     if min(len(first), len(second)) < 2:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    product = first.descriptors @ second.descriptors.T
-    there = _clearly_nearest(product)
-    back = _clearly_nearest(product.T)
+    product = first @ second.T
+    there = _clearly_nearest(product, first_owner, second_owner)
+    back = _clearly_nearest(product.T, second_owner, first_owner)
     own = np.flatnonzero(there >= 0)
     mutual: Ints = own[back[there[own]] == own]
     return mutual, there[mutual]
 
 
-def _clearly_nearest(product: NDArray[np.float32]) -> Ints:
-    """For each row of products of descriptors the column that is nearest, −1 where another one is almost as near."""
-    nearest: Ints = product.argmax(axis=1)
+def _clearly_nearest(product: NDArray[np.float32], own: Ints, owner: Ints) -> Ints:
+    """For each keypoint, by products of its descriptors' rows with others', the nearest keypoint; −1 where a second one
+    is almost as near. `own` and `owner`: the keypoints of rows and columns.
+    """
+    nearest = product.argmax(axis=1)
     rows = np.arange(len(product))
-    rest = product.copy()
-    rest[rows, nearest] = -1.0
-    near, next_one = (np.sqrt(np.maximum(2 - 2 * each, 0.0)) for each in (product[rows, nearest], rest.max(axis=1)))
-    return np.where(near + _SAME < _RATIO * next_one, nearest, -1)
+    rest = np.where(owner == owner[nearest][:, None], np.float32(-1), product)
+    near, next_one = (np.sqrt(np.maximum(2 - 2 * best, 0.0)) for best in (product[rows, nearest], rest.max(axis=1)))
+    clear = near + _SAME < _RATIO * next_one
+    matching = np.full(own.max(initial=-1) + 1, -1)
+    worst_first = np.flatnonzero(clear)[np.argsort(-near[clear], kind="stable")]
+    matching[own[worst_first]] = owner[nearest[worst_first]]
+    return matching
 
 
 def _on_plane(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import PER_POSE, Matches, Pose, cross_matrix
+from calib.geometry import PER_POSE, Matches, Pose, cross_matrix, depths_of_rays
 from calib.geometry import radial_distortion as lens
 from calib.numerics import NIELSEN, Floats, Ints, Quadratic, descend, huber_loss, huber_weights
 from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, Prior, State
@@ -55,6 +55,15 @@ class Spread:
     def times(self, factor: float) -> "Spread":
         """All of them multiplied."""
         return Spread(factor * self.keypoint_px, factor * self.lifted, factor * self.matches)
+
+    def grown(self, observed: Floats, matches: float) -> "Spread":
+        """Those of keypoints and of their projector pixels multiplied by `observed` (2,), that of all matches, which
+        stays above a thousandth, by its own factor.
+        """
+        keypoint, lifted = observed
+        return Spread(
+            float(self.keypoint_px * keypoint), float(self.lifted * lifted), max(self.matches * matches, 1e-3)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,9 +226,7 @@ def _missed(rig: State, matches: Matches, spread: Spread) -> tuple[Floats, Float
     rays, rays_by_camera = lens.unproject(rig.camera, matches.camera_px)
     lines, _ = lens.unproject(rig.projector, matches.projector_px)
     turned = pose.rotate(rays)
-    aa, bb, ab = (np.sum(a * b, axis=1) for a, b in ((turned, turned), (lines, lines), (turned, lines)))
-    at, bt = turned @ pose.translation, lines @ pose.translation
-    depth = (ab * bt - bb * at) / np.maximum(aa * bb - ab**2, 1e-15)
+    depth = depths_of_rays(turned, lines, pose.translation)[:, 0]
     places = depth[:, None] * turned + pose.translation
     valid = (depth > 0) & (places[:, 2] > 0) & np.isfinite(depth)
     safe = np.where(valid[:, None], places, [0.0, 0.0, 1.0])

@@ -177,11 +177,12 @@ class _Problem:
         """The problem without outliers and with the spread that residuals show, and its solution."""
         problem = self
         for _ in range(_ROUNDS):
-            problem = problem._with_measured_spread(fit)
-            within = (np.abs(fit.residual.reshape(-1, 2, 2)).max(axis=2) < _OUTLYING * problem._growth(fit)).all(axis=1)
+            growth, of_matches = _growth(fit), robust_sigma(fit.miss)
+            within = (np.abs(fit.residual.reshape(-1, 2, 2)).max(axis=2) < _OUTLYING * growth).all(axis=1)
+            problem = replace(problem, spread=problem.spread.grown(growth, of_matches))
             problem, scene = problem._of(within, fit.scene)
-            if not len(problem.observations.point):
-                break
+            if not len(scene.points):
+                return problem, replace(fit, scene=scene)
             fit = adjust(scene, problem.observations, problem.matches, problem.spread, problem.prior)
         return problem, fit
 
@@ -203,23 +204,6 @@ class _Problem:
         covariance = np.zeros((fit.scene.size, fit.scene.size))
         covariance[np.ix_(free, free)] = both
         return covariance[:SHARED, :SHARED]
-
-    def _growth(self, fit: SceneFit) -> Floats:
-        """Sigmas (2,) of keypoints and of their projector pixels in the units of a fit's residuals."""
-        count, free = len(fit.residual), 3 * len(fit.scene.points) + fit.scene.size
-        left = np.sqrt(max(1 - free / (4 * count), 0.1))
-        lengths = np.linalg.norm(fit.residual.reshape(-1, 2, 2), axis=2)
-        growth: Floats = np.maximum(np.median(lengths, axis=0) / (MEDIAN_LENGTH * left), 0.1)
-        return growth
-
-    def _with_measured_spread(self, fit: SceneFit) -> "_Problem":
-        keypoint, lifted = self._growth(fit)
-        spread = Spread(
-            float(self.spread.keypoint_px * keypoint),
-            float(self.spread.lifted * lifted),
-            max(self.spread.matches * robust_sigma(fit.miss), 1e-3),
-        )
-        return replace(self, spread=spread)
 
     def _of(self, kept: Bools, scene: Scene) -> "tuple[_Problem, Scene]":
         """The problem of some observations, and the scene of the points that two of them share."""
@@ -276,6 +260,15 @@ def _problem(
     matches = some_matches([views[k] for k in places], _MATCHES)
     scene = Scene(start.rig, tuple(places.values()), points)
     return _Problem(scene, places, observations, matches, knowledge.prior(start.rig))
+
+
+def _growth(fit: SceneFit) -> Floats:
+    """Sigmas (2,) of keypoints and of their projector pixels in the units of a fit's residuals."""
+    count, free = len(fit.residual), 3 * len(fit.scene.points) + fit.scene.size
+    left = np.sqrt(max(1 - free / (4 * count), 0.1))
+    lengths = np.linalg.norm(fit.residual.reshape(-1, 2, 2), axis=2)
+    growth: Floats = np.maximum(np.median(lengths, axis=0) / (MEDIAN_LENGTH * left), 0.1)
+    return growth
 
 
 def _follow(

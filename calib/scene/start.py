@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.geometry import IDENTITY, Pose, homogeneous
+from calib.closed_form import intrinsic_matrices
+from calib.geometry import IDENTITY, Pose, depths_of_rays, homogeneous
 from calib.numerics import Bools, Floats, Ints
 from calib.refinement import State, without_lens
 from calib.registration import fit_rigid_motion
@@ -82,15 +83,12 @@ def _fundamental(views: Sequence[SceneView]) -> Floats | None:
     return None if found is None or found.shape != (3, 3) else np.asarray(found, np.float64)
 
 
-def _calibration_matrix(device: Floats) -> Floats:
-    return np.array([[device[0], 0.0, device[1]], [0.0, device[0], device[2]], [0.0, 0.0, 1.0]])
-
-
 def _relative_pose(
     fundamental: Floats, camera: Floats, projector: Floats, camera_px: Floats, projector_px: Floats
 ) -> Pose | None:
     """The pose with most points in front of both devices, |t| = 1; None if the devices' pictures allow none."""
-    essential = _calibration_matrix(projector).T @ fundamental @ _calibration_matrix(camera)
+    first, second = intrinsic_matrices(np.array([camera[0], projector[0]]), np.stack([camera[1:3], projector[1:3]]))
+    essential = second.T @ fundamental @ first
     u, _, vt = np.linalg.svd(essential)
     u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -109,11 +107,7 @@ def _depths(camera: Floats, projector: Floats, pose: Pose, camera_px: Floats, pr
     """Depths (N, 2) in both devices where their rays are nearest."""
     rays = homogeneous((camera_px - camera[1:3]) / camera[0])
     lines = homogeneous((projector_px - projector[1:3]) / projector[0])
-    turned = pose.rotate(rays)
-    aa, bb, ab = (np.sum(a * b, axis=1) for a, b in ((turned, turned), (lines, lines), (turned, lines)))
-    at, bt = turned @ pose.translation, lines @ pose.translation
-    determinant = np.maximum(aa * bb - ab**2, 1e-15)
-    return np.stack([(ab * bt - bb * at) / determinant, (aa * bt - ab * at) / determinant], axis=1)
+    return depths_of_rays(pose.rotate(rays), lines, pose.translation)
 
 
 def triangulated(rig: State, view: SceneView) -> Floats:

@@ -57,9 +57,8 @@ def observe(
     station_of = np.searchsorted(offsets, keypoint, side="right") - 1
     track = label[keypoint]
     _, number, size = np.unique(track, return_inverse=True, return_counts=True)
-    _, doubled = np.unique(np.stack([track, station_of]), axis=1, return_counts=True)
-    ambiguous = np.unique(np.unique(np.stack([track, station_of]), axis=1)[0][doubled > 1])
-    kept = (size[number] > 1) & ~np.isin(track, ambiguous)
+    visits, keypoints_of_visit = np.unique(np.stack([track, station_of]), axis=1, return_counts=True)
+    kept = (size[number] > 1) & ~np.isin(track, visits[0][keypoints_of_visit > 1])
     keypoint, station_of = keypoint[kept], station_of[kept]
     _, point = np.unique(track[kept], return_inverse=True)
     by_point = np.argsort(point, kind="stable")

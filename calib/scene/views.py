@@ -16,17 +16,15 @@ from scipy.spatial import cKDTree
 
 from calib.geometry import Matches, Size
 from calib.numerics import Bools, Floats, Image, Ints, at_random
-from calib.registration import log_brightness
+from calib.registration import for_hellinger, log_brightness, mutual_matches, sift
 
 _MOST = 800  # keypoints of a picture as it looks from one side
-_CONTRAST = 0.015
 _TILTS, _TURN_DEG = 2, 72.0  # simulated views: slants up to 60°, turned by 72° over each tilt
 _ONE_PLACE_PX = 1.0
 _HALF_WINDOW = 3  # pixels around a keypoint whose matches tell its place in the projector
 _FEWEST = 30  # matches in the window
-_MOST_BEND_PX = 0.5  # rms of the window's matches about an affine map: more is an edge
+_MOST_BEND_PX = 0.5  # rms of the window's matches about a quadratic map: more is an edge
 _RESTS_PX = 1.0  # the same camera pixel sees the same projector pixel in another view
-_RATIO, _SAME = 0.8, 0.01  # of the distances to the two nearest descriptors (Lowe 2004); equal descriptors
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,23 +68,11 @@ def views_of(captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, 
     return views, sum(int(rests.sum()) for rests in resting) / max(decoded, 1)
 
 
-def match_views(first: SceneView, second: SceneView) -> tuple[Ints, Ints]:
-    """Mutually best matching keypoints of two views, (M,) of either."""
-    if min(len(first), len(second)) < 2:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    product = first.descriptors @ second.descriptors.T
-    there = _clearly_nearest(product, first.owner, second.owner)
-    back = _clearly_nearest(product.T, second.owner, first.owner)
-    own = np.flatnonzero(there >= 0)
-    mutual: Ints = own[back[there[own]] == own]
-    return mutual, there[mutual]
-
-
 def matched_pairs(views: Sequence[SceneView]) -> dict[tuple[int, int], tuple[Ints, Ints]]:
-    """`match_views` of every two views, without what rests against the rig, at the same place in both pictures."""
+    """Mutually best matching keypoints (M,) of every two views, without those that rest against the rig."""
     pairs = {}
     for i, j in combinations(range(len(views)), 2):
-        own, matching = match_views(views[i], views[j])
+        own, matching = mutual_matches(views[i].descriptors, views[j].descriptors, views[i].owner, views[j].owner)
         apart = np.abs(views[i].camera_px[own] - views[j].camera_px[matching]).max(axis=1, initial=0.0)
         lit = np.abs(views[i].projector_px[own] - views[j].projector_px[matching]).max(axis=1, initial=0.0)
         moved = np.maximum(apart, lit) > 2 * _RESTS_PX
@@ -154,9 +140,7 @@ def _keypoints(picture: NDArray[np.uint8], mask: NDArray[np.uint8]) -> tuple[Flo
     Yu and Morel, "ASIFT: an algorithm for fully affine invariant comparison", 2011. What is found at one place in
     several of the simulated views is one keypoint.
     """
-    finder = cv2.AffineFeature.create(
-        cv2.SIFT.create(nfeatures=_MOST, contrastThreshold=_CONTRAST), maxTilt=_TILTS, rotateStepBase=_TURN_DEG
-    )
+    finder = cv2.AffineFeature.create(sift(_MOST), maxTilt=_TILTS, rotateStepBase=_TURN_DEG)
     keypoints, descriptors = finder.detectAndCompute(picture, mask)
     if not keypoints:
         return np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros((0, 128), np.float32)
@@ -166,8 +150,7 @@ def _keypoints(picture: NDArray[np.uint8], mask: NDArray[np.uint8]) -> tuple[Flo
     owner = np.array([min(near) for near in within], np.int64)
     owner = owner[owner]  # a chain of near keypoints belongs to the strongest
     strongest, owner = np.unique(owner, return_inverse=True)
-    root = np.sqrt(descriptors[order] / np.maximum(descriptors[order].sum(axis=1, keepdims=True), 1e-12))
-    return pixels[strongest], owner.astype(np.int64), root.astype(np.float32)
+    return pixels[strongest], owner.astype(np.int64), for_hellinger(descriptors[order])
 
 
 def _lifted(places: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats, Bools]:
@@ -191,28 +174,10 @@ def _lifted(places: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats, Boo
     off = (values - np.einsum("kni,kij->knj", design, fit)) * known[..., None]
     count = known.sum(axis=1)
     rms = np.sqrt(np.sum(off**2, axis=(1, 2)) / np.maximum(2 * count - 12, 1))
-    with np.errstate(invalid="ignore"):
-        sigma = np.where(
-            count > 0, np.nansum(np.where(known, around[..., 2], 0.0), axis=1) / np.maximum(count, 1), np.nan
-        )
+    sigma = np.where(known, around[..., 2], 0.0).sum(axis=1) / np.maximum(count, 1)
     return (
         fit[:, 0],
         np.swapaxes(fit[:, 1:3], 1, 2),
         np.maximum(sigma, 1e-3),
         (count >= _FEWEST) & (rms < _MOST_BEND_PX),
     )
-
-
-def _clearly_nearest(product: NDArray[np.float32], own: Ints, owner: Ints) -> Ints:
-    """For each keypoint, by products of its descriptors' rows with others', the nearest keypoint; −1 where a second one
-    is almost as near. `own` and `owner`: the keypoints of rows and columns.
-    """
-    nearest = product.argmax(axis=1)
-    rows = np.arange(len(product))
-    rest = np.where(owner == owner[nearest][:, None], np.float32(-1), product)
-    near, next_one = (np.sqrt(np.maximum(2 - 2 * best, 0.0)) for best in (product[rows, nearest], rest.max(axis=1)))
-    clear = near + _SAME < _RATIO * next_one
-    found = np.full(own.max(initial=-1) + 1, -1)
-    worst_first = np.flatnonzero(clear)[np.argsort(-near[clear], kind="stable")]
-    found[own[worst_first]] = owner[nearest[worst_first]]
-    return found
