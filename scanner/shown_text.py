@@ -2,6 +2,7 @@
 
 import re
 import reprlib
+from collections.abc import Iterable
 
 _MARK = "\N{REPLACEMENT CHARACTER}"
 # Control characters except line breaks and tabs; bidirectional controls; lone surrogates.
@@ -13,6 +14,11 @@ _WITHIN_NUMBERS = re.compile(
     r"(?<=[±<>=×−+]) (?=[\d−])|(?<=\d) (?=(?:[±×%°‰]|[mµk]?m\b|px\b|sigma|to \d))|(?<=\d to) (?=\d)"
 )
 
+_NAMES = re.compile("[^/=]+")  # of files and folders, in an argument
+_BREAK = re.compile("[\t\n]")
+
+_broken_names: list[str] = []
+
 _REPR = reprlib.Repr()
 _REPR.maxlevel = 3
 _REPR.maxstring = _REPR.maxother = _REPR.maxlong = _MOST_CHARACTERS
@@ -21,6 +27,22 @@ _REPR.maxstring = _REPR.maxother = _REPR.maxlong = _MOST_CHARACTERS
 def harmless(text: str) -> str:
     """The text with a mark in place of every character that a terminal would obey."""
     return _OBEYED.sub(_MARK, text)
+
+
+def expect_names_of(arguments: Iterable[str]) -> None:
+    """Take note of the names of files on a command line that have line breaks in them, for `on_screen`."""
+    names = {harmless(name) for argument in arguments for name in _NAMES.findall(argument) if _BREAK.search(name)}
+    _broken_names[:] = sorted(names, key=len, reverse=True)
+
+
+def on_screen(text: str) -> str:
+    """The text with a mark in place of all that a terminal would obey: line breaks, too, that are part of a name, so
+    that only those of a message begin a line.
+    """
+    text = harmless(text)
+    for name in _broken_names:
+        text = text.replace(name, _BREAK.sub(_MARK, name))
+    return text
 
 
 def shortened(text: str, most: int = _MOST_CHARACTERS) -> str:

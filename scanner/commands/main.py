@@ -13,6 +13,7 @@ from scanner.commands.arguments import MAIN, NAMED
 from scanner.commands.command import Command
 from scanner.errors import InputError
 from scanner.interruption import finishing, handlers_restored, interrupt, on_ending
+from scanner.shown_text import expect_names_of
 
 # The matrices here are small and many: a thread pool costs several times what it gains. Larger work is divided where it
 # is computed. This must be set before NumPy is imported.
@@ -36,8 +37,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without × or ± is no error
     with handlers_restored():
+        given = sys.argv[1:] if arguments is None else list(arguments)
+        expect_names_of(given)
         try:
-            name, rest = choose_command(sys.argv[1:] if arguments is None else list(arguments))
+            name, rest = choose_command(given)
             args = parser_of(name).parse_args(rest)
             _require_address_space()
             run = _command(name).load()

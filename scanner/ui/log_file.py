@@ -4,6 +4,8 @@ import logging
 import sys
 from pathlib import Path
 
+from scanner.ui.terminal import for_screen
+
 _LOGGERS = ("scanner", "hw", "calib", "py.warnings")
 
 
@@ -33,7 +35,8 @@ class _Handler(logging.FileHandler):
 
     def _tell(self, error: BaseException | None) -> None:
         if not self._failed:
-            print(f"scan: {self.baseFilename}: the log cannot be written: {error}", file=sys.stderr)
+            message = f"scan: {self.baseFilename}: the log cannot be written: {error}"
+            print(for_screen(message, sys.stderr), file=sys.stderr)
         self._failed = True
 
 

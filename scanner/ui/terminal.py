@@ -14,7 +14,7 @@ from threading import Event, Thread
 from typing import TextIO, TypeVar
 
 from rich.cells import cell_len
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -25,14 +25,27 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.segment import Segment
 from rich.table import Table
 
-from scanner.shown_text import NO_BREAK, harmless, unbroken
+from scanner.shown_text import NO_BREAK, harmless, on_screen, unbroken
 
 
 def for_screen(text: str, stream: TextIO) -> str:
-    """The text, wrapped if the stream is a terminal: what reads from a pipe wants its lines whole."""
+    """The text with nothing in it that a terminal would obey, and wrapped if the stream is one: what reads from a pipe
+    wants its lines whole.
+    """
+    text = on_screen(text)
     return wrapped(text, shutil.get_terminal_size().columns) if stream.isatty() else text
+
+
+class HarmlessConsole(Console):
+    """A console whose tables and bars hold nothing that a terminal would obey but the console's own colours."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """The segments of anything that is printed."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(harmless(segment.text), segment.style)
 
 
 def wrapped(text: str, width: int) -> str:
@@ -95,8 +108,8 @@ class Terminal:
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._quiet = quiet
-        self._out = Console(highlight=False)
-        self._err = Console(stderr=True)
+        self._out = HarmlessConsole(highlight=False)
+        self._err = HarmlessConsole(stderr=True)
 
     def track(self, items: Iterable[T], total: int, what: str) -> Iterator[T]:
         """Pass `items` on, with a bar that fills up as they go by."""
@@ -125,7 +138,7 @@ class Terminal:
         for part in parts:
             rendered = fitted(part, self._out) if isinstance(part, Table) else part
             if isinstance(rendered, str):
-                self._out.print(for_screen(harmless(rendered), sys.stdout), soft_wrap=True, markup=False)
+                self._out.print(for_screen(rendered, sys.stdout), soft_wrap=True, markup=False)
             else:
                 self._out.print(rendered)
 
@@ -136,7 +149,7 @@ class Terminal:
     def note(self, text: str) -> None:
         """Print a note that matters whether or not the command succeeds."""
         if not self._quiet:
-            self._err.print(text, soft_wrap=True, markup=False, highlight=False)
+            self._err.print(on_screen(text), soft_wrap=True, markup=False, highlight=False)
 
     @property
     def can_ask(self) -> bool:
@@ -145,7 +158,7 @@ class Terminal:
 
     def ask(self, question: str) -> str:
         """Return the operator's input; the end of the input, as by Ctrl-D, is a 'q'. Asks even if `quiet`."""
-        self._err.print(question, end="", markup=False)
+        self._err.print(on_screen(question), end="", markup=False)
         try:
             return input()
         except EOFError:
