@@ -109,7 +109,7 @@ docs: $(VENV)/.dev
 
 SEED   ?= 0
 INPUTS ?= 50000
-SECONDS ?= 3600
+SECONDS ?= 600
 fuzz: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --seed $(SEED) --inputs $(INPUTS) --seconds $(SECONDS)
 

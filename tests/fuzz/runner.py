@@ -182,8 +182,8 @@ def main() -> int:
 
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("target", nargs="*", default="all", choices=[*TARGETS, "all"], metavar="TARGET")
-    parser.add_argument("--seconds", type=float, default=3600.0, help="for each target")
-    parser.add_argument("--inputs", type=int, default=50_000, help="for each target")
+    parser.add_argument("--seconds", type=float, default=600.0, help="for each target (default: %(default)s)")
+    parser.add_argument("--inputs", type=int, default=50_000, help="for each target (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     failed = False

@@ -27,6 +27,11 @@ def test_every_reader_gives_a_result_or_one_of_our_errors(target: str, tmp_path:
     assert (rejected == 0) == (target in _ANSWERED)
 
 
+def test_a_process_of_its_own_finds_all_that_a_target_is_made_of() -> None:
+    outcome = fuzz("calibration", seed=_SEED, inputs=3, seconds=120)
+    assert (outcome.inputs, outcome.findings) == (3, ())
+
+
 @pytest.mark.parametrize(
     ("planted", "found"),
     [("wrong", "KeyError in targets.py"), ("forever", "hang"), ("memory", "memory"), ("death", "died: exit code 3")],
