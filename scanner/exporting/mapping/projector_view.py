@@ -61,10 +61,13 @@ def view_surface(
 
     def fill(rows: slice) -> _LitPart:
         lit = surface.lit(rows)
-        depth.write(rows, np.float32(scale) * np.nan_to_num(lit.depth))
-        position.write(rows, to_file.astype(np.float32) * np.nan_to_num(lit.points))
         on_wall.write(rows, lit.on_wall)
-        return surface.part(lit)
+        part = surface.part(lit)
+        _scale(lit.depth.reshape(-1, 1), np.array([scale], np.float32))
+        _scale(lit.points.reshape(-1, 3), to_file.astype(np.float32))
+        depth.write(rows, lit.depth)
+        position.write(rows, lit.points)
+        return part
 
     parts = in_rows(depth.shape, fill)
     sides = np.concatenate([part.sides for part in parts])
@@ -223,3 +226,11 @@ def _light(
         if facing > grazing * np.sqrt(length):
             for axis in range(2):
                 on_wall[i, axis] = seen[0] * axes[0, axis] + seen[1] * axes[1, axis] + seen[2] * axes[2, axis]
+
+
+@compiled
+def _scale(values: Numbers, factors: Numbers) -> None:
+    """Multiply each of the columns (N, C) with its factor, in place; 0 where NaN was."""
+    for i in range(values.shape[0]):
+        for k in range(values.shape[1]):
+            values[i, k] = 0.0 if np.isnan(values[i, k]) else factors[k] * values[i, k]
