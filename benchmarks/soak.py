@@ -1,10 +1,12 @@
 """Whether a process that works all day stays as it was after its first hour, and its results the same.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/soak.py --minutes 10
+    OPENBLAS_NUM_THREADS=1 python benchmarks/soak.py --small --rounds 2000
 
 Rounds of a scan, its replay, a measurement, an export, a refused replay and live clouds, all in this process, and now
 and then one in a fresh process, or a whole room from three stations; between them a console's worker, the same all day,
-looks, checks, scans and shows clouds. After each round: memory, open files, threads, child processes, and what is left
+looks, checks, scans and shows clouds. A small round is of small pictures, a scan, its replay and a live cloud: nine of
+ten are, each in about a second. After each round: memory, open files, threads, child processes, and what is left
 among temporary files. Results of a round have to be the same, byte by byte but for their times, as those of the first.
 Ends with exit code 1 if something differs or grows.
 """
@@ -38,7 +40,7 @@ from tests.support.small_capture import CONFIG
 
 _SETTLING = 5  # rounds in which caches fill
 _MOST_MB = 20.0  # that the memory may drift by, by a line through all later rounds
-_FRESH_EVERY, _ROOM_EVERY = 20, 10  # rounds
+_WHOLE_EVERY = 10  # small rounds
 _ROOM = (
     *("--config", str(ROOT / "configs/room-whole-sim.yaml"), "--stations", "3", "--set", "sequence.preset=quick"),
     *("--set", "camera={width: 306, height: 256}", "--set", "projector={width: 427, height: 240}", "--quiet"),
@@ -47,6 +49,32 @@ _LIVE_FRAMES, _LIVE_CLOUDS = 5, 2
 _PATIENCE_S = 600.0  # on a busy machine
 _TIME = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+:.\d]*")
 _COMPARED = ("matches.npz", "calibration.yaml", "cloud.ply", "measure.json", "mapping.yaml", "room.yaml", "room.ply")
+
+
+_SMALL_CONFIG = """
+rig: {backend: simulated, furniture: false, interreflection: false, ambient: 0}
+camera: {width: 204, height: 170, principal_point: {known: [104.5, 87.7]}}
+projector: {width: 142, height: 80}
+sequence: {preset: quick}
+corner: {squareness_deg: 0}
+"""
+
+
+@dataclass(frozen=True)
+class Course:
+    """What is done how often."""
+
+    # The configuration's text.
+    config: str
+    # The most rounds.
+    rounds: int
+    # No round begins later, unless memory has not settled yet.
+    seconds: float
+    # All commands in each so many rounds; in the others a scan, its replay and a cloud.
+    whole_every: int
+    # Each so many rounds all commands are processes of their own, and a whole room is scanned.
+    fresh_every: int
+    room_every: int
 
 
 @dataclass(frozen=True)
@@ -135,31 +163,47 @@ class SightWatcher(Watcher):
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--minutes", type=float, help="begin rounds for so long (default: 10, or as --rounds says)")
+    parser.add_argument("--rounds", type=int, help="end after so many (default: as --minutes says)")
+    parser.add_argument("--small", action="store_true", help="small pictures, and nine of ten rounds without the rest")
+    parser.add_argument("--fresh", action="store_true", help="every command of every round in a process of its own")
     options = parser.parse_args()
+    if options.rounds is not None and options.rounds < 2 * _SETTLING:
+        parser.error(f"--rounds: expected {2 * _SETTLING} or more: caches fill in the first {_SETTLING}")
+    minutes = options.minutes or (float("inf") if options.rounds else 10.0)
+    course = Course(
+        _SMALL_CONFIG if options.small else CONFIG,
+        options.rounds or sys.maxsize,
+        60 * minutes,
+        whole_every=_WHOLE_EVERY if options.small else 1,
+        fresh_every=1 if options.fresh else 20 * (_WHOLE_EVERY if options.small else 1),
+        room_every=100 if options.small else 10,
+    )
     with tempfile.TemporaryDirectory() as scratch:
         own = Path(scratch) / "tmp"
         own.mkdir()
         os.environ["TMPDIR"] = tempfile.tempdir = str(own)
-        return _soak(Path(scratch), own, 60 * options.minutes)
+        return _soak(Path(scratch), own, course)
 
 
-def _soak(scratch: Path, own: Path, seconds: float) -> int:
+def _soak(scratch: Path, own: Path, course: Course) -> int:
     config = scratch / "room.yaml"
-    config.write_text(CONFIG)
+    config.write_text(course.config)
     page = SilentPage()
     worker = Worker(ConsoleSettings(config), page)
     worker.start()
     first = dict[str, str]()
     usages = list[Usage]()
-    end_s = time.monotonic() + seconds
-    while time.monotonic() < end_s or len(usages) < 2 * _SETTLING:
+    end_s = time.monotonic() + course.seconds
+    while len(usages) < course.rounds and (time.monotonic() < end_s or len(usages) < 2 * _SETTLING):
         out, number = scratch / "work", len(usages)
         out.mkdir()
         with contextlib.chdir(out):  # where the console leaves its scans
-            _work(worker, page)
-            _round(config, out, is_fresh=number % _FRESH_EVERY == _FRESH_EVERY - 1)
-            if number % _ROOM_EVERY == 0:
+            is_whole = number % course.whole_every == 0
+            if is_whole:
+                _work(worker, page)
+            _round(config, out, is_whole=is_whole, is_fresh=number % course.fresh_every == course.fresh_every - 1)
+            if number % course.room_every == 0:
                 _command(0, [*_ROOM, "--out", str(out / "whole")], is_fresh=False)
         digests = {path: _digest(out / path) for path in _files(out)}
         different = sorted(path for path, digest in digests.items() if first.setdefault(path, digest) != digest)
@@ -195,15 +239,17 @@ def _work(worker: Worker, page: SilentPage) -> None:
             raise SystemExit(f"console: {activity}: {page.message}")
 
 
-def _round(config: Path, out: Path, *, is_fresh: bool) -> None:
-    room, live = out / "room", ["--clouds", "2", "--calibration", str(out / "room" / "calibration.yaml")]
+def _round(config: Path, out: Path, *, is_whole: bool, is_fresh: bool) -> None:
+    room = out / "room"
+    live = ["--clouds", str(2 if is_whole else 1), "--calibration", str(room / "calibration.yaml")]
     common = ["--config", str(config), "--quiet"]
     _command(0, ["--out", str(room), *common], is_fresh=is_fresh)
     _command(0, ["replay", str(room / "capture"), "--out", str(out / "replay"), *common], is_fresh=is_fresh)
-    _command(0, ["measure", str(room), "--out", str(out / "measured"), "--quiet"], is_fresh=is_fresh)
-    _command(0, ["export", str(room), "--to", "e57", "--out", str(out / "room.e57"), "--quiet"], is_fresh=is_fresh)
-    _command(0, ["export", str(room), "--to", "mapping", "--out", str(out / "maps"), "--quiet"], is_fresh=is_fresh)
-    _command(2, ["replay", str(out / "nowhere"), "--out", str(out / "refused"), *common], is_fresh=is_fresh)
+    if is_whole:
+        _command(0, ["measure", str(room), "--out", str(out / "measured"), "--quiet"], is_fresh=is_fresh)
+        _command(0, ["export", str(room), "--to", "e57", "--out", str(out / "room.e57"), "--quiet"], is_fresh=is_fresh)
+        _command(0, ["export", str(room), "--to", "mapping", "--out", str(out / "maps"), "--quiet"], is_fresh=is_fresh)
+        _command(2, ["replay", str(out / "nowhere"), "--out", str(out / "refused"), *common], is_fresh=is_fresh)
     _command(0, ["live", *live, "--out", str(out / "live"), *common], is_fresh=is_fresh)
 
 
