@@ -95,7 +95,7 @@ def write_pieces(
         "textures": [{"source": number, "sampler": 0} for number in range(len(images))],
     }
     present = {key: value for key, value in document.items() if value != []}  # glTF knows no empty lists
-    path.write_bytes(_container(json.dumps(present).encode(), b"".join(binary.parts)))
+    _write_container(path, json.dumps(present).encode(), binary)
 
 
 def _camera_node(camera: GlbCamera, number: int, metres_per_unit: float) -> dict[str, object]:
@@ -170,17 +170,12 @@ def _linear_rgba(colours: NDArray[np.uint8]) -> NDArray[np.uint16]:
     return np.hstack([table[colours], np.full((len(colours), 1), 65535, "<u2")])
 
 
-def _container(document: bytes, binary: bytes) -> bytes:
+def _write_container(path: Path, document: bytes, binary: _Binary) -> None:
     """Header and two chunks, each padded to a multiple of four bytes: JSON with spaces, binary with zeros."""
     document += b" " * (-len(document) % 4)
-    binary += b"\0" * (-len(binary) % 4)
-    total = 12 + 8 + len(document) + 8 + len(binary)
-    return b"".join(
-        [
-            struct.pack("<III", _MAGIC, _VERSION, total),
-            struct.pack("<II", len(document), _JSON_CHUNK),
-            document,
-            struct.pack("<II", len(binary), _BINARY_CHUNK),
-            binary,
-        ]
-    )
+    with path.open("wb") as file:
+        file.write(struct.pack("<III", _MAGIC, _VERSION, 12 + 8 + len(document) + 8 + binary.length))
+        file.write(struct.pack("<II", len(document), _JSON_CHUNK))
+        file.write(document)
+        file.write(struct.pack("<II", binary.length, _BINARY_CHUNK))
+        file.writelines(binary.parts)

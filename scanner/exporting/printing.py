@@ -5,11 +5,12 @@ Of rooms and things these are the triangles of the result, joined where its piec
 
 import json
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, slices_of
 from scanner.errors import InputError
 from scanner.exporting.formats import ExportRequest
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA, build_joint_mesh
@@ -18,6 +19,8 @@ from scanner.io import new_file, read_whole
 from scanner.results import read_finished_result
 
 _MM = 1000.0
+_AT_ONCE = 50_000  # triangles, or points, in memory as they are written
+_LONGEST_VERTEX, _LONGEST_TRIANGLE = 80, 60  # bytes of a 3MF's model
 _HEADER, _CHUNK = 12, 8  # bytes of a GLB
 _MODEL = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 _TYPES = (
@@ -81,24 +84,39 @@ def _array(document: dict, binary: bytes, number: int, kind: str) -> np.ndarray:
 
 def write_stl(path: Path, points: Floats, triangles: Ints) -> None:
     """Binary STL: no unit, no vertices in common. Raises OSError."""
-    rows = np.zeros(len(triangles), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
-    corners = points[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    rows["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    rows["corners"] = corners
-    path.write_bytes(b"roomscan, millimetres".ljust(80) + len(rows).to_bytes(4, "little") + rows.tobytes())
+    kind = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    with path.open("wb") as file:
+        file.write(b"roomscan, millimetres".ljust(80) + len(triangles).to_bytes(4, "little"))
+        for some in slices_of(len(triangles), _AT_ONCE):
+            corners = points[triangles[some]]
+            normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            rows = np.zeros(len(corners), kind)
+            rows["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+            rows["corners"] = corners
+            file.write(rows.tobytes())
 
 
 def write_3mf(path: Path, points: Floats, triangles: Ints) -> None:
     """Raises OSError."""
-    vertices = "".join(f'<vertex x="{x:.5f}" y="{y:.5f}" z="{z:.5f}"/>' for x, y, z in points.tolist())
-    faces = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in triangles.tolist())
-    model = (
-        f'<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xml:lang="en-US" xmlns="{_MODEL}"><resources>'
-        f'<object id="1" type="model"><mesh><vertices>{vertices}</vertices><triangles>{faces}</triangles></mesh>'
-        '</object></resources><build><item objectid="1"/></build></model>'
-    )
+    # Some readers do not know the extension for large files, so that it is left out where it is not needed.
+    is_large = _LONGEST_VERTEX * len(points) + _LONGEST_TRIANGLE * len(triangles) > zipfile.ZIP64_LIMIT
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         file.writestr("[Content_Types].xml", _TYPES)
         file.writestr("_rels/.rels", _RELATIONS)
-        file.writestr("3D/3dmodel.model", model)
+        with file.open("3D/3dmodel.model", "w", force_zip64=is_large) as model:
+            for text in _model_text(points, triangles):
+                model.write(text.encode())
+
+
+def _model_text(points: Floats, triangles: Ints) -> Iterator[str]:
+    """The model, in pieces."""
+    yield (
+        f'<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xml:lang="en-US" xmlns="{_MODEL}"><resources>'
+        '<object id="1" type="model"><mesh><vertices>'
+    )
+    for some in slices_of(len(points), _AT_ONCE):
+        yield "".join(f'<vertex x="{x:.5f}" y="{y:.5f}" z="{z:.5f}"/>' for x, y, z in points[some].tolist())
+    yield "</vertices><triangles>"
+    for some in slices_of(len(triangles), _AT_ONCE):
+        yield "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in triangles[some].tolist())
+    yield '</triangles></mesh></object></resources><build><item objectid="1"/></build></model>'
