@@ -6,13 +6,15 @@ tell how far the rays of both devices pass each other (Hartley & Zisserman, 2nd 
 eliminated from the normal equations (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1).
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 
 from calib.geometry import PER_POSE, Matches, Pose, cross_matrix, depths_of_rays
 from calib.geometry import radial_distortion as lens
-from calib.numerics import NIELSEN, Floats, Ints, Quadratic, descend, huber_loss, huber_weights
+from calib.numerics import NIELSEN, Bools, Floats, Ints, Quadratic, descend, huber_loss, huber_weights
 from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, Prior, State
 
 _ROBUST = 3.0  # sigmas
@@ -21,22 +23,43 @@ _STEPS, _CONVERGED = 40, 1e-7
 # A rig that stations hardly determine has a valley whose curvature is a millionth of the walls'.
 _DAMPING = replace(NIELSEN, first=1e-7, least=1e-13)
 _BEHIND = 1e4  # cost of an observation behind a device
+CHOSEN_PX, ANYWHERE_PX = 1e-3, 1e4  # sigma of a place in a picture that was chosen, and of one that nothing tells
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Points of the scene in the pictures: which `point` (M,), ascending and each at least once, which `station` (M,),
-    and where.
-
-    `camera_px`, `projector_px` (M, 2), `slope` (M, 2, 2) and `sigma_px` (M,) as in `SceneView`.
-    """
+    """Points of the scene in the pictures."""
 
     point: Ints
+    """(M,): numbers of the points, ascending, each at least once."""
     station: Ints
+    """(M,): numbers of the stations."""
     camera_px: Floats
+    """(M, 2): where the point is in the camera's picture."""
     projector_px: Floats
+    """(M, 2): where the projector lights what is at `camera_px`."""
     slope: Floats
+    """(M, 2, 2): derivatives of the projector's pixel by the camera's, along the surface."""
     sigma_px: Floats
+    """(M,): standard deviation of each coordinate of `projector_px`, for a given camera pixel."""
+    keypoint_px: Floats
+    """(M,): standard deviation of each coordinate of `camera_px`, before `Spread.keypoint`. A point of a surface has
+    `CHOSEN_PX` where it was chosen, and `ANYWHERE_PX` where only the surface is known to contain it."""
+
+    def __getitem__(self, kept: Bools | Ints) -> "Observations":
+        return Observations(*(getattr(self, field.name)[kept] for field in fields(self)))
+
+    @property
+    def is_located(self) -> Bools:
+        """Those (M,) whose place in the camera's picture was found."""
+        located: Bools = (self.keypoint_px > CHOSEN_PX) & (self.keypoint_px < ANYWHERE_PX)
+        return located
+
+    @property
+    def is_chosen(self) -> Bools:
+        """Those (M,) where a point of a surface was chosen."""
+        chosen: Bools = self.keypoint_px <= CHOSEN_PX
+        return chosen
 
     def sums(self, values: Floats) -> Floats:
         """Sums (N, ...) over the observations of each point of `values` (M, ...)."""
@@ -46,24 +69,22 @@ class Observations:
 
 @dataclass(frozen=True)
 class Spread:
-    """Factors on the standard deviations: of keypoints in pixels, of their projector pixels, and of all matches."""
+    """Factors on the standard deviations: of keypoints, of their projector pixels, and of all matches."""
 
-    keypoint_px: float
+    keypoint: float
     lifted: float
     matches: float
 
     def times(self, factor: float) -> "Spread":
         """All of them multiplied."""
-        return Spread(factor * self.keypoint_px, factor * self.lifted, factor * self.matches)
+        return Spread(factor * self.keypoint, factor * self.lifted, factor * self.matches)
 
     def grown(self, observed: Floats, matches: float) -> "Spread":
         """Those of keypoints and of their projector pixels multiplied by `observed` (2,), that of all matches, which
         stays above a thousandth, by its own factor.
         """
         keypoint, lifted = observed
-        return Spread(
-            float(self.keypoint_px * keypoint), float(self.lifted * lifted), max(self.matches * matches, 1e-3)
-        )
+        return Spread(float(self.keypoint * keypoint), float(self.lifted * lifted), max(self.matches * matches, 1e-3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,19 +132,13 @@ def evaluate(scene: Scene, observations: Observations, matches: Matches, spread:
     gradient[:SHARED] += pull
     information[range(SHARED), range(SHARED)] += curvature
 
-    residual, by_columns, by_point, behind = _observed(scene, observations, spread)
-    weight = np.repeat(_weights(residual), 2, axis=1)
-    cost += float(_loss(residual).sum()) + _BEHIND * behind
-    weighted = by_columns * weight[..., None]
-    flat, flat_weighted = by_columns.reshape(-1, size), weighted.reshape(-1, size)
-    information += flat_weighted.T @ flat
-    gradient += flat_weighted.T @ residual.ravel()
-    across = np.swapaxes(by_point, 1, 2)  # (M, 3, 4)
-    own = observations.sums(across @ (by_point * weight[..., None]))
-    own_pull = observations.sums((across @ (weight * residual)[..., None])[..., 0])
-    mixed = observations.sums(across @ weighted)
-    own += 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
-    step = np.asarray(np.linalg.solve(own, own_pull[..., None])[..., 0], np.float64)
+    residuals = _observed(scene, observations, spread)
+    cost += float(huber_loss(residuals.lengths, _ROBUST).sum()) + _BEHIND * residuals.behind
+    own_pull, own_curvature = residuals.by_columns(observations, size)
+    gradient += own_pull
+    information += own_curvature
+    own, pull_on_points, mixed = residuals.by_points(observations, size)
+    step = np.asarray(np.linalg.solve(own, pull_on_points[..., None])[..., 0], np.float64)
     by_step = np.asarray(np.linalg.solve(own, mixed), np.float64)
     information -= mixed.reshape(-1, size).T @ by_step.reshape(-1, size)
     gradient -= mixed.reshape(-1, size).T @ step.ravel()
@@ -134,7 +149,7 @@ def evaluate(scene: Scene, observations: Observations, matches: Matches, spread:
     information[:SHARED, :SHARED] += (by_shared * miss_weight[:, None]).T @ by_shared
     gradient[:SHARED] += (by_shared * miss_weight[:, None]).T @ miss
     return SceneFit(
-        cost if np.isfinite(cost) else np.inf, gradient, information, scene, residual, miss, (step, by_step)
+        cost if np.isfinite(cost) else np.inf, gradient, information, scene, residuals.values, miss, (step, by_step)
     )
 
 
@@ -162,26 +177,86 @@ def adjust(
 
 def scores(scene: Scene, observations: Observations, matches: Matches, spread: Spread) -> tuple[Floats, Floats]:
     """Half the gradient of the cost of each point (N, size), and of each match (L, 21), at a minimum."""
-    residual, by_columns, _, _ = _observed(scene, observations, spread)
-    pull = np.repeat(_weights(residual), 2, axis=1) * residual
-    by_point = observations.sums((pull[:, None] @ by_columns)[:, 0])
+    residuals = _observed(scene, observations, spread)
+    own, pull_on_points, mixed = residuals.by_points(observations, scene.size)
+    pull = residuals.pulls(observations, scene.size)
+    pull -= (np.linalg.solve(own, pull_on_points[..., None])[:, None, :, 0] @ mixed)[:, 0]
     miss, by_shared = _missed(scene.rig, matches, spread)
-    return by_point, by_shared * (huber_weights(np.abs(miss), _ROBUST) * miss)[:, None]
+    return pull, by_shared * (huber_weights(np.abs(miss), _ROBUST) * miss)[:, None]
 
 
-def _weights(residual: Floats) -> Floats:
-    """Huber's weights (M, 2) of the keypoint and of its projector pixel."""
-    return huber_weights(np.linalg.norm(residual.reshape(-1, 2, 2), axis=2), _ROBUST)
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """Residuals of observations with their derivatives, and sums of these."""
+
+    values: Floats
+    """(M, 4), in sigmas."""
+    by_rig: Floats
+    """(M, 4, 21): derivatives by the rig's columns."""
+    by_station: Floats
+    """(M, 4, 6): derivatives by the motion of the observation's station."""
+    by_point: Floats
+    """(M, 4, 3): derivatives by its point."""
+    behind: int
+    """How many are behind a device."""
+
+    @cached_property
+    def lengths(self) -> Floats:
+        """Those (M, 2) of the keypoint and of its projector pixel."""
+        return np.asarray(np.linalg.norm(self.values.reshape(-1, 2, 2), axis=2), np.float64)
+
+    @cached_property
+    def weight(self) -> Floats:
+        """Huber's, (M, 4)."""
+        return np.repeat(huber_weights(self.lengths, _ROBUST), 2, axis=1)
+
+    def by_columns(self, observations: Observations, size: int) -> tuple[Floats, Floats]:
+        """Half the gradient (size,) and half the curvature (size, size) by the columns."""
+        pull, curvature = np.zeros(size), np.zeros((size, size))
+        pulls = self.pulls(observations, size)
+        pull += pulls.sum(axis=0)
+        for columns, own in _of_stations(observations, size):
+            rig, station = self.by_rig[own].reshape(-1, SHARED), self.by_station[own].reshape(-1, PER_POSE)
+            weighted = rig * self.weight[own].reshape(-1, 1)
+            curvature[:SHARED, :SHARED] += weighted.T @ rig
+            if columns is not None:
+                curvature[:SHARED, columns] = weighted.T @ station
+                curvature[columns, :SHARED] = curvature[:SHARED, columns].T
+                curvature[columns, columns] = (station * self.weight[own].reshape(-1, 1)).T @ station
+        return pull, curvature
+
+    def pulls(self, observations: Observations, size: int) -> Floats:
+        """Half the gradient (N, size) by the columns, of each point's observations."""
+        weighted = (self.weight * self.values)[:, None]
+        pulls = np.zeros((int(observations.point.max(initial=-1)) + 1, size))
+        pulls[:, :SHARED] = observations.sums((weighted @ self.by_rig)[:, 0])
+        for columns, own in _of_stations(observations, size):
+            if columns is not None:
+                pulls[observations.point[own], columns] = (weighted[own] @ self.by_station[own])[:, 0]
+        return pulls
+
+    def by_points(self, observations: Observations, size: int) -> tuple[Floats, Floats, Floats]:
+        """Half the points' own curvature (N, 3, 3), half the gradient (N, 3), and mixed derivatives (N, 3, size)."""
+        across = np.swapaxes(self.by_point * self.weight[..., None], 1, 2)  # (M, 3, 4)
+        own = observations.sums(across @ self.by_point)
+        own += 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+        pull = observations.sums((across @ self.values[..., None])[..., 0])
+        mixed = np.zeros((len(own), 3, size))
+        mixed[..., :SHARED] = observations.sums(across @ self.by_rig)
+        for columns, of_station in _of_stations(observations, size):
+            if columns is not None:
+                mixed[observations.point[of_station], :, columns] = across[of_station] @ self.by_station[of_station]
+        return own, pull, mixed
 
 
-def _loss(residual: Floats) -> Floats:
-    return huber_loss(np.linalg.norm(residual.reshape(-1, 2, 2), axis=2), _ROBUST)
+def _of_stations(observations: Observations, size: int) -> Iterator[tuple[slice | None, Ints]]:
+    """The columns of each station, none of the first's, and its observations, at most one of a point."""
+    for number in range(1 + (size - SHARED) // PER_POSE):
+        start = SHARED + PER_POSE * (number - 1)
+        yield slice(start, start + PER_POSE) if number else None, np.flatnonzero(observations.station == number)
 
 
-def _observed(scene: Scene, seen: Observations, spread: Spread) -> tuple[Floats, Floats, Floats, int]:
-    """Residuals (M, 4) in sigmas, their derivatives (M, 4, size) by the columns and (M, 4, 3) by the points, and how
-    many are behind a device.
-    """
+def _observed(scene: Scene, seen: Observations, spread: Spread) -> _Residuals:
     rig, pose = scene.rig, scene.rig.pose
     stations = Pose.stack(scene.stations)[seen.station]
     turned = np.einsum("mij,mj->mi", stations.rotation, scene.points[seen.point])
@@ -192,28 +267,24 @@ def _observed(scene: Scene, seen: Observations, spread: Spread) -> tuple[Floats,
     camera_px, by_seen, by_camera = lens.project(rig.camera, ahead_camera)
     projector_px, by_lit, by_projector = lens.project(rig.projector, ahead_projector)
     count = len(seen.point)
-    residual, by_columns = np.empty((count, _ROWS)), np.zeros((count, _ROWS, scene.size))
+    residual, by_rig = np.empty((count, _ROWS)), np.zeros((count, _ROWS, SHARED))
     by_place = np.empty((count, _ROWS, 3))  # in the station's camera frame
     on_camera, slope = camera_px - seen.camera_px, seen.slope
     residual[:, :2] = on_camera
     residual[:, 2:] = projector_px - seen.projector_px - np.einsum("mij,mj->mi", slope, on_camera)
     by_place[:, :2], by_place[:, 2:] = by_seen, by_lit @ pose.rotation - slope @ by_seen
-    by_columns[:, :2, CAMERA], by_columns[:, 2:, CAMERA] = by_camera, -slope @ by_camera
-    by_columns[:, 2:, PROJECTOR] = by_projector
-    by_columns[:, 2:, ROTATION] = -by_lit @ cross_matrix(pose.rotate(ahead_camera))
-    by_columns[:, 2:, TRANSLATION] = by_lit @ pose.by_direction
-    by_turn = -by_place @ cross_matrix(turned)
-    for k in range(1, len(scene.stations)):
-        own, start = seen.station == k, SHARED + PER_POSE * (k - 1)
-        by_columns[own, :, start : start + 3] = by_turn[own]
-        by_columns[own, :, start + 3 : start + PER_POSE] = by_place[own]
-    sigma = np.stack([np.full(count, spread.keypoint_px)] * 2 + [spread.lifted * seen.sigma_px] * 2, axis=1)
+    by_rig[:, :2, CAMERA], by_rig[:, 2:, CAMERA] = by_camera, -slope @ by_camera
+    by_rig[:, 2:, PROJECTOR] = by_projector
+    by_rig[:, 2:, ROTATION] = -by_lit @ cross_matrix(pose.rotate(ahead_camera))
+    by_rig[:, 2:, TRANSLATION] = by_lit @ pose.by_direction
+    keypoint_px = np.where(seen.is_located, spread.keypoint, 1.0) * seen.keypoint_px
+    sigma = np.stack([keypoint_px] * 2 + [spread.lifted * seen.sigma_px] * 2, axis=1)
+    root = np.where(behind[:, None], 0.0, 1 / sigma)
+    by_place *= root[..., None]
+    by_rig *= root[..., None]
+    by_station = np.concatenate([-by_place @ cross_matrix(turned), by_place], axis=2)
     by_point = by_place @ stations.rotation
-    residual /= sigma
-    by_columns /= sigma[..., None]
-    by_point = by_point / sigma[..., None]
-    residual[behind], by_columns[behind], by_point[behind] = 0.0, 0.0, 0.0
-    return residual, by_columns, by_point, int(np.count_nonzero(behind))
+    return _Residuals(root * residual, by_rig, by_station, by_point, int(np.count_nonzero(behind)))
 
 
 def _missed(rig: State, matches: Matches, spread: Spread) -> tuple[Floats, Floats]:

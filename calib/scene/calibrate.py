@@ -21,10 +21,11 @@ from calib.refinement import (
     intrinsic_distance,
 )
 from calib.refusal import RefusalError
+from calib.scene.alignment import align
 from calib.scene.bundle import Observations, Scene, SceneFit, Spread, adjust, scores
 from calib.scene.start import SceneStart, starts_of, with_motions
 from calib.scene.tracks import observe, placed_stations
-from calib.scene.views import SceneView, matched_pairs, some_matches, views_of
+from calib.scene.views import WINDOW_PIXELS, SceneView, matched_pairs, some_matches, views_of
 from calib.self_calibration import PrincipalPoint
 
 _TRIALS = 3  # distinct starts that are followed
@@ -33,6 +34,7 @@ _MATCHES = 600  # of each station, beside keypoints
 _ANNEALING, _STEPS = (20.0, 5.0, 1.0), 20  # factors on the first guess of the spread, steps with each
 _GUESS = Spread(0.5, 1.0, 1.0)
 _ROUNDS = 3  # of measuring the spread
+_SHARPENED = (20.0, 5.0, 1.0), (1.0,)  # as `_ANNEALING`, each time that pictures and surfaces are aligned
 _FOLLOWED = 2  # times that a better rig tells which keypoints agree
 _OUTLYING = 4.0  # sigmas, of an observation that is left out
 _FEWEST_STATIONS, _FEWEST_POINTS = 3, 20
@@ -131,7 +133,7 @@ def calibrate_scene(
     if not solved:
         raise _nothing_common(0, 0, len(captures))
     solution = max(solved, key=lambda solution: solution.nats)
-    best, fit = solution.problem, solution.fit
+    best, fit = _sharpened(solution.problem, solution.fit, views)
     if len(fit.scene.points) < _FEWEST_POINTS or len(best.places) < _FEWEST_STATIONS:
         raise _nothing_common(len(fit.scene.points), len(best.places), len(captures))
     _refuse_one_axis(fit.scene.stations)
@@ -149,9 +151,7 @@ def calibrate_scene(
     rig = fit.scene.rig
     calibration = calibration_of(rig, camera_size, projector_size, sigmas_of(rig, covariance))
     uncertainty = Uncertainty(rig, covariance, None, best.spread.matches * _usual(best.matches))
-    return SceneCalibration(
-        calibration, uncertainty, tuple(best.places), len(fit.scene.points), best.spread.keypoint_px
-    )
+    return SceneCalibration(calibration, uncertainty, tuple(best.places), len(fit.scene.points), best.spread.keypoint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,10 +165,10 @@ class _Problem:
     prior: Prior
     spread: Spread = _GUESS
 
-    def solve(self) -> SceneFit:
+    def solve(self, factors: Sequence[float] = _ANNEALING) -> SceneFit:
         """The most likely scene near the start, from a wide spread to the guessed one."""
         scene = self.start
-        for factor in _ANNEALING:
+        for factor in factors:
             fit = adjust(scene, self.observations, self.matches, self.spread.times(factor), self.prior, _STEPS)
             scene = fit.scene
         return fit
@@ -177,7 +177,7 @@ class _Problem:
         """The problem without outliers and with the spread that residuals show, and its solution."""
         problem = self
         for _ in range(_ROUNDS):
-            growth, of_matches = _growth(fit), robust_sigma(fit.miss)
+            growth, of_matches = _growth(fit, problem.observations), robust_sigma(fit.miss)
             within = (np.abs(fit.residual.reshape(-1, 2, 2)).max(axis=2) < _OUTLYING * growth).all(axis=1)
             problem = replace(problem, spread=problem.spread.grown(growth, of_matches))
             problem, scene = problem._of(within, fit.scene)
@@ -187,22 +187,25 @@ class _Problem:
         return problem, fit
 
     def covariance(self, fit: SceneFit) -> Floats:
-        """Of the rig's columns, (21, 21): the mean of what the curvature says and what scores of single points say.
+        """Of the rig's columns, (21, 21): the mean of what the curvature says and what scores of places say.
 
-        Errors of keypoints have long tails and a point's observations may share them, which the second accounts for
-        (White, "Maximum likelihood estimation of misspecified models", 1982).
+        Errors of keypoints have long tails, and points nearby share pixels of the pictures, which the second accounts
+        for (White, "Maximum likelihood estimation of misspecified models", 1982; Liang and Zeger, "Longitudinal data
+        analysis using generalized linear models", 1986). So does the first, by a factor.
         """
         free = np.concatenate([np.flatnonzero(self.prior.free[:SHARED]), np.arange(SHARED, fit.scene.size)])
         scale = np.sqrt(np.diag(fit.information)[free])
         inverse = np.linalg.pinv(fit.information[np.ix_(free, free)] / np.outer(scale, scale), hermitian=True)
         inverse /= np.outer(scale, scale)
         by_point, by_match = scores(fit.scene, self.observations, self.matches, self.spread)
-        scatter = by_point.T @ by_point
+        by_place = _summed(by_point, _places(fit.scene))
+        scatter = by_place.T @ by_place
         scatter[:SHARED, :SHARED] += by_match.T @ by_match
         scatter[range(SHARED), range(SHARED)] += self.prior.root_precision[:SHARED] ** 2
-        both = (inverse + inverse @ scatter[np.ix_(free, free)] @ inverse) / 2
+        by_scores = inverse @ scatter[np.ix_(free, free)] @ inverse
+        shared = max(1.0, float(np.trace(scatter[np.ix_(free, free)] @ inverse)) / len(free))
         covariance = np.zeros((fit.scene.size, fit.scene.size))
-        covariance[np.ix_(free, free)] = both
+        covariance[np.ix_(free, free)] = (shared * inverse + by_scores) / 2
         return covariance[:SHARED, :SHARED]
 
     def _of(self, kept: Bools, scene: Scene) -> "tuple[_Problem, Scene]":
@@ -211,15 +214,10 @@ class _Problem:
         shared = np.bincount(seen.point[kept], minlength=len(scene.points)) > 1
         kept = kept & shared[seen.point]
         number = np.cumsum(shared) - 1
-        chosen = Observations(
-            number[seen.point[kept]],
-            seen.station[kept],
-            seen.camera_px[kept],
-            seen.projector_px[kept],
-            seen.slope[kept],
-            seen.sigma_px[kept],
+        chosen = seen[kept]
+        return replace(self, observations=replace(chosen, point=number[chosen.point])), replace(
+            scene, points=scene.points[shared]
         )
-        return replace(self, observations=chosen), replace(scene, points=scene.points[shared])
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +237,7 @@ class _Solution:
         """Log likelihood of what belongs together over that of keypoints that are matched at random."""
         problem = self.problem
         lifted = problem.spread.lifted * problem.observations.sigma_px
-        of_one = 2 * np.log(_RANDOM_PX / problem.spread.keypoint_px) + 2 * np.log(_RANDOM_PX / lifted)
+        of_one = 2 * np.log(_RANDOM_PX / problem.spread.keypoint) + 2 * np.log(_RANDOM_PX / lifted)
         return float(of_one.sum())
 
 
@@ -262,12 +260,53 @@ def _problem(
     return _Problem(scene, places, observations, matches, knowledge.prior(start.rig))
 
 
-def _growth(fit: SceneFit) -> Floats:
+def _places(scene: Scene) -> Ints:
+    """The cube (N,) of each point, of the size of two windows of pixels."""
+    size = 2 * np.sqrt(WINDOW_PIXELS) * float(np.median(scene.points[:, 2])) / scene.rig.camera[0]
+    cubes = np.floor(scene.points / size).astype(np.int64)
+    _, number = np.unique(cubes, axis=0, return_inverse=True)
+    return number.reshape(-1)
+
+
+def _summed(values: Floats, group: Ints) -> Floats:
+    """Sums (G, C) of `values` (N, C) by their groups (N,)."""
+    total = np.zeros((int(group.max(initial=-1)) + 1, values.shape[1]))
+    np.add.at(total, group, values)
+    return total
+
+
+def _sharpened(problem: _Problem, fit: SceneFit, views: Sequence[SceneView]) -> "tuple[_Problem, SceneFit]":
+    """The problem of what stations share under its solution, seen again under each better one, and its solution.
+
+    The problem itself where too little is shared.
+    """
+    placed = [views[k] for k in problem.places]
+    for factors in _SHARPENED:
+        observations, points = align(fit.scene, placed)
+        if len(points) < _FEWEST_POINTS:
+            break
+        sharper = replace(
+            problem,
+            start=replace(fit.scene, points=points),
+            observations=observations,
+            spread=Spread(1.0, 1.0, problem.spread.matches),
+        )
+        sharper, sharp = sharper.refined(sharper.solve(factors))
+        if len(sharp.scene.points) < _FEWEST_POINTS:
+            break
+        problem, fit = sharper, sharp
+    return problem, fit
+
+
+def _growth(fit: SceneFit, observations: Observations) -> Floats:
     """Sigmas (2,) of keypoints and of their projector pixels in the units of a fit's residuals."""
-    count, free = len(fit.residual), 3 * len(fit.scene.points) + fit.scene.size
-    left = np.sqrt(max(1 - free / (4 * count), 0.1))
-    lengths = np.linalg.norm(fit.residual.reshape(-1, 2, 2), axis=2)
-    growth: Floats = np.maximum(np.median(lengths, axis=0) / (MEDIAN_LENGTH * left), 0.1)
+    located = observations.is_located
+    rows = 2 * len(located) + 2 * int(np.count_nonzero(located))
+    free = 3 * len(fit.scene.points) - 2 * int(np.count_nonzero(observations.is_chosen)) + fit.scene.size
+    left = np.sqrt(max(1 - free / rows, 0.1))
+    keypoints, lifted = np.moveaxis(np.linalg.norm(fit.residual.reshape(-1, 2, 2), axis=2), 1, 0)
+    medians = np.array([np.median(keypoints[located]), np.median(lifted)])
+    growth: Floats = np.maximum(medians / (MEDIAN_LENGTH * left), 0.1)
     return growth
 
 

@@ -72,6 +72,7 @@ def observe(
         np.concatenate([view.projector_px for view in views])[keypoint],
         np.concatenate([view.slope for view in views])[keypoint],
         np.concatenate([view.sigma_px for view in views])[keypoint],
+        np.ones(len(keypoint)),
     )
     own = np.concatenate([triangulated(start.rig, view) for view in views])[keypoint]
     back = Pose.stack([places[k].inverse() for k in station_of.tolist()])

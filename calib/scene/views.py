@@ -22,6 +22,7 @@ _MOST = 800  # keypoints of a picture as it looks from one side
 _TILTS, _TURN_DEG = 2, 72.0  # simulated views: slants up to 60°, turned by 72° over each tilt
 _ONE_PLACE_PX = 1.0
 _HALF_WINDOW = 3  # pixels around a keypoint whose matches tell its place in the projector
+WINDOW_PIXELS = (2 * _HALF_WINDOW + 1) ** 2
 _FEWEST = 30  # matches in the window
 _MOST_BEND_PX = 0.5  # rms of the window's matches about a quadratic map: more is an edge
 _RESTS_PX = 1.0  # the same camera pixel sees the same projector pixel in another view
@@ -45,9 +46,42 @@ class SceneView:
     """(D, 128), of length 1: several of a keypoint, as it looks from several sides."""
     owner: Ints
     """(D,): the keypoint of each descriptor."""
+    brightness: NDArray[np.uint8]
+    """(H, W): logarithm of the picture."""
+    places: Floats
+    """(H, W, 3): the projector's pixel and its sigma at each camera pixel; NaN where there is none, and where what is
+    seen rests against the rig."""
 
     def __len__(self) -> int:
         return len(self.camera_px)
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """What the matches around camera pixels tell of them."""
+
+    projector_px: Floats
+    """(K, 2)."""
+    slope: Floats
+    """(K, 2, 2): derivatives of the projector's pixel by the camera's, along the surface."""
+    sigma_px: Floats
+    """(K,): standard deviation of each coordinate of a match's projector pixel, for a given camera pixel."""
+    rms_px: Floats
+    """(K,): of the matches about a quadratic map; infinite where there are too few."""
+
+    def __getitem__(self, kept: Bools | Ints) -> "Lifted":
+        return Lifted(self.projector_px[kept], self.slope[kept], self.sigma_px[kept], self.rms_px[kept])
+
+    @property
+    def is_smooth(self) -> Bools:
+        """Where the matches around are on one surface, (K,)."""
+        smooth: Bools = self.rms_px < _MOST_BEND_PX
+        return smooth
+
+    @property
+    def bend(self) -> Floats:
+        """How much more than their sigma the matches are off the map, (K,)."""
+        return self.rms_px / self.sigma_px
 
 
 def views_of(captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, int]) -> tuple[list[SceneView], float]:
@@ -119,18 +153,22 @@ def _resting(maps: Sequence[Floats], number: int) -> Bools:
 def _view(matches: Matches, picture: Image, places: Floats, moving: Bools) -> SceneView:
     side = 2 * _HALF_WINDOW + 1
     inside = np.asarray(cv2.erode(moving.astype(np.uint8), np.ones((side, side), np.uint8)), np.uint8)
-    pixels, owner, descriptors = _keypoints(log_brightness(picture), inside)
-    lifted, slopes, sigma, is_smooth = _lifted(places, pixels)
+    brightness = log_brightness(picture)
+    pixels, owner, descriptors = _keypoints(brightness, inside)
+    lifted = lift(places, pixels)
+    is_smooth = lifted.is_smooth
     kept = is_smooth[owner]
     number = np.cumsum(is_smooth) - 1
     return SceneView(
         matches,
         pixels[is_smooth],
-        lifted[is_smooth],
-        slopes[is_smooth],
-        sigma[is_smooth],
+        lifted.projector_px[is_smooth],
+        lifted.slope[is_smooth],
+        lifted.sigma_px[is_smooth],
         descriptors[kept],
         number[owner[kept]],
+        brightness,
+        np.where(moving[..., None], places, np.nan),
     )
 
 
@@ -153,10 +191,8 @@ def _keypoints(picture: NDArray[np.uint8], mask: NDArray[np.uint8]) -> tuple[Flo
     return pixels[strongest], owner.astype(np.int64), for_hellinger(descriptors[order])
 
 
-def _lifted(places: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats, Bools]:
-    """Projector pixels (K, 2) at camera pixels (K, 2), their slopes (K, 2, 2) and sigmas (K,), and where the matches
-    around are on one smooth surface (K,).
-    """
+def lift(places: Floats, pixels: Floats) -> Lifted:
+    """Projector pixels at camera pixels (K, 2), by a quadratic map of the `places` (H, W, 3) around."""
     height, width = places.shape[:2]
     steps = np.arange(-_HALF_WINDOW, _HALF_WINDOW + 1)
     column, row = np.rint(pixels).astype(np.int64).T
@@ -175,9 +211,5 @@ def _lifted(places: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats, Boo
     count = known.sum(axis=1)
     rms = np.sqrt(np.sum(off**2, axis=(1, 2)) / np.maximum(2 * count - 12, 1))
     sigma = np.where(known, around[..., 2], 0.0).sum(axis=1) / np.maximum(count, 1)
-    return (
-        fit[:, 0],
-        np.swapaxes(fit[:, 1:3], 1, 2),
-        np.maximum(sigma, 1e-3),
-        (count >= _FEWEST) & (rms < _MOST_BEND_PX),
-    )
+    rms[count < _FEWEST] = np.inf
+    return Lifted(fit[:, 0], np.swapaxes(fit[:, 1:3], 1, 2), np.maximum(sigma, 1e-3), rms)

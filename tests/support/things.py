@@ -45,11 +45,13 @@ def thing_stations(
 
 
 def turned_stations(
-    count: int, camera: tuple[int, int], seed: int = 0, noise_px: float = NOISE_PX
+    count: int, camera: tuple[int, int], seed: int = 0, noise_px: float = NOISE_PX, **thing: Any
 ) -> list[ThingStation]:
     """Stations of a thing alone, turned by 12 to 25° about random axes against the first."""
     rng = np.random.default_rng([seed, 18])
-    settings = SimulatedRigSettings.model_validate({"seed": seed, "thing": {"kind": "lump", "background": False}})
+    settings = SimulatedRigSettings.model_validate(
+        {"seed": seed, "thing": {"kind": "lump", "background": False, **thing}}
+    )
     found = []
     for number in range(count):
         simulated = SimulatedThing(settings, camera, PROJECTOR)
