@@ -57,6 +57,10 @@ from scanner.reconstruction import (
 from scanner.results import AS_SHOWN, CAPTURE_FOLDER, TRUTH_FILE, Decoded, GivenCalibration, Scan
 from scanner.ui import Operator, Progress, Terminal
 
+# Captures without a corner, which the refusal says, calibrated by what they share, and findings on that.
+WithoutCorner = Callable[
+    [Sequence[Decoded], Config, Progress, RefusalError], tuple[Sequence[GivenCalibration], tuple[Finding, ...]]
+]
 OnCloud = Callable[[Scan], object]  # called with the clouds once they exist, while they are being saved
 # Bytes of matches and cloud per camera pixel.
 _RESULT_BYTES_PER_PIXEL = 75
@@ -311,14 +315,25 @@ def reconstruct(
     *,
     masks: Bools | None = None,
     on_cloud: OnCloud | None = None,
+    without_corner: WithoutCorner | None = None,
 ) -> Scan:
-    """Matches → faces → one calibration → clouds → files; `masks` are of the newest capture. Raises RefusalError."""
+    """Matches → faces → one calibration → clouds → files; `masks` are of the newest capture.
+
+    `without_corner`: how captures without a corner are calibrated. Raises RefusalError.
+    """
     with EarlyMatches(folder) as matches:
         with refusal_saved(captures, folder, config, matches) as reached:
-            with progress.step("Calibrating"):
-                labelled = label(captures, reached, config, masks)
-                matches.begin(labelled)
-                reached[:] = calibrated = calibrate(labelled, config)
+            try:
+                with progress.step("Calibrating"):
+                    labelled = label(captures, reached, config, masks)
+                    matches.begin(labelled)
+                    reached[:] = calibrated = calibrate(labelled, config)
+            except RefusalError as no_corner:
+                if without_corner is None:
+                    raise
+                given, findings = without_corner(captures, config, progress, no_corner)
+                result = Scan(triangulate(given, reached, progress), own_findings=findings)
+                return _finished(result, config, folder, progress, matches, on_cloud)
             reconstructed = triangulate(calibrated, reached, progress)
             result = Scan(reconstructed)
             if len(captures) > 1 and config.corner.same:

@@ -17,8 +17,8 @@ from calib.geometry import Pose, depths_of_rays
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Bools, Floats, Floats32, Ints, at_random
 from calib.refinement import State
-from calib.scene.bundle import ANYWHERE_PX, CHOSEN_PX, Observations, Scene
-from calib.scene.views import WINDOW_PIXELS, Lifted, SceneView, lift
+from calib.scene.bundle import ANYWHERE_PX, CHOSEN_PX, NOTHING_OBSERVED, Observations, Scene
+from calib.scene.views import WINDOW_PIXELS, Lifted, StationView, lift
 
 _CORNERS, _QUALITY, _APART_PX = 200, 0.003, 6.0  # of a picture: how many, least share of the best, distance
 _HALF = 7  # pixels around a corner that are compared
@@ -64,13 +64,13 @@ class _Projected:
         return len(self.number)
 
 
-def align(scene: Scene, views: Sequence[SceneView]) -> tuple[Observations, Floats]:
+def align(scene: Scene, views: Sequence[StationView]) -> tuple[Observations, Floats]:
     """Observations of points that stations share, under a scene that is nearly right, and the points (N, 3) in the
     first station's frame. `views`: those of the scene's stations.
     """
     pictures = [_blurred(view.brightness) for view in views]
     is_free = [_inside(view) for view in views]
-    pieces, points = [_nothing()], [np.zeros((0, 3))]
+    pieces, points = [NOTHING_OBSERVED], [np.zeros((0, 3))]
 
     def add(number: int, patches: _Patches, seen: Observations) -> None:
         chosen, point = np.unique(seen.point, return_inverse=True)
@@ -93,7 +93,7 @@ def align(scene: Scene, views: Sequence[SceneView]) -> tuple[Observations, Float
 
 def _tracked(
     scene: Scene,
-    views: Sequence[SceneView],
+    views: Sequence[StationView],
     number: int,
     patches: _Patches,
     pictures: Sequence[Floats32] | None,
@@ -102,7 +102,7 @@ def _tracked(
 
     Ordered by `point`, the patch's number. Those that no other station sees are left out.
     """
-    pieces = [_nothing()]
+    pieces = [NOTHING_OBSERVED]
     for other, view in enumerate(views):
         if other == number:
             continue
@@ -135,18 +135,13 @@ def _observations(point: Ints, station: int, pixels: Floats, lifted: Lifted, sig
     return Observations(point, stations, pixels, lifted.projector_px, lifted.slope, lifted.sigma_px, sigma)
 
 
-def _nothing() -> Observations:
-    none, whole = np.zeros(0), np.zeros(0, np.int64)
-    return Observations(whole, whole, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)), none, none)
-
-
 def _joined(pieces: Sequence[Observations]) -> Observations:
     return Observations(
         *(np.concatenate([getattr(piece, field.name) for piece in pieces]) for field in fields(Observations))
     )
 
 
-def _inside(view: SceneView) -> Bools:
+def _inside(view: StationView) -> Bools:
     """Pixels around which all others have matches, (H, W)."""
     known = np.isfinite(view.places[..., 0]).astype(np.uint8)
     inside = cv2.erode(known, np.ones((2 * _HALF + 1,) * 2, np.uint8), borderValue=0)
@@ -165,7 +160,7 @@ def _corners(brightness: NDArray[np.uint8], mask: Bools) -> Floats:
     return np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
 
 
-def _flat_patches(rig: State, view: SceneView, inside: Bools, stations: int) -> _Patches:
+def _flat_patches(rig: State, view: StationView, inside: Bools, stations: int) -> _Patches:
     """Some of a view's surface, where it is flat."""
     row, column = np.nonzero(inside)
     some = at_random(len(row), int(_OVERLAP * len(row) / (WINDOW_PIXELS * stations)) + 1)
@@ -180,7 +175,7 @@ def _is_flat(lifted: Lifted) -> Bools:
     return lifted.is_smooth & (lifted.bend < _MOST_BEND * usual)
 
 
-def _patches(rig: State, view: SceneView, pixels: Floats) -> _Patches:
+def _patches(rig: State, view: StationView, pixels: Floats) -> _Patches:
     lifted = lift(view.places, pixels)
     steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     here, right, down = (_points(rig, pixels + step, lifted.projector_px + lifted.slope @ step) for step in steps)
@@ -200,7 +195,7 @@ def _points(rig: State, camera_px: Floats, projector_px: Floats) -> Floats:
     return np.asarray(depth * rays, np.float64)
 
 
-def _projected(rig: State, motion: Pose, patches: _Patches, view: SceneView) -> _Projected:
+def _projected(rig: State, motion: Pose, patches: _Patches, view: StationView) -> _Projected:
     """Patches as another station sees them, without hidden ones; `motion`: X_other = R X + t."""
     places = motion @ patches.points
     ahead = places[:, 2] > 0

@@ -67,6 +67,17 @@ class Observations:
         return np.asarray(np.add.reduceat(values, starts, axis=0), np.float64)
 
 
+NOTHING_OBSERVED = Observations(
+    np.zeros(0, np.int64),
+    np.zeros(0, np.int64),
+    np.zeros((0, 2)),
+    np.zeros((0, 2)),
+    np.zeros((0, 2, 2)),
+    np.zeros(0),
+    np.zeros(0),
+)
+
+
 @dataclass(frozen=True)
 class Spread:
     """Factors on the standard deviations: of keypoints, of their projector pixels, and of all matches."""

@@ -29,11 +29,22 @@ _RESTS_PX = 1.0  # the same camera pixel sees the same projector pixel in anothe
 
 
 @dataclass(frozen=True, eq=False)
-class SceneView:
+class StationView:
     """What one station of an unchanged rig saw of a rigid scene."""
 
     matches: Matches
     """All that moved against the rig since another station."""
+    brightness: NDArray[np.uint8]
+    """(H, W): logarithm of the picture."""
+    places: Floats
+    """(H, W, 3): the projector's pixel and its sigma at each camera pixel; NaN where there is none, and where what is
+    seen rests against the rig."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneView(StationView):
+    """The same with keypoints of the picture, by which stations are recognised in each other."""
+
     camera_px: Floats
     """(K, 2): keypoints in the camera's picture."""
     projector_px: Floats
@@ -46,11 +57,6 @@ class SceneView:
     """(D, 128), of length 1: several of a keypoint, as it looks from several sides."""
     owner: Ints
     """(D,): the keypoint of each descriptor."""
-    brightness: NDArray[np.uint8]
-    """(H, W): logarithm of the picture."""
-    places: Floats
-    """(H, W, 3): the projector's pixel and its sigma at each camera pixel; NaN where there is none, and where what is
-    seen rests against the rig."""
 
     def __len__(self) -> int:
         return len(self.camera_px)
@@ -84,7 +90,9 @@ class Lifted:
         return self.rms_px / self.sigma_px
 
 
-def views_of(captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, int]) -> tuple[list[SceneView], float]:
+def views_of(
+    captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, int]
+) -> tuple[list[StationView], float]:
     """Views of captures with pictures (H, W) or (H, W, 3), and the share of matches that rested in all of them.
 
     What is at the same pixel of both devices in most other captures did not move against the rig: the table around a
@@ -97,7 +105,8 @@ def views_of(captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, 
         if picture.shape[:2] != places.shape[:2]:
             raise ValueError(f"the picture must have the shape {places.shape[:2]}, found {picture.shape[:2]}")
         column, row = np.rint(matches.camera_px).astype(np.int64).T
-        views.append(_view(matches[~rests[row, column]], picture, places, ~rests & np.isfinite(places[..., 0])))
+        own = np.where(rests[..., None], np.nan, places)
+        views.append(StationView(matches[~rests[row, column]], log_brightness(picture), own))
     decoded = sum(int(np.isfinite(places[..., 0]).sum()) for places in maps)
     return views, sum(int(rests.sum()) for rests in resting) / max(decoded, 1)
 
@@ -114,7 +123,7 @@ def matched_pairs(views: Sequence[SceneView]) -> dict[tuple[int, int], tuple[Int
     return pairs
 
 
-def some_matches(views: Sequence[SceneView], count: int) -> Matches:
+def some_matches(views: Sequence[StationView], count: int) -> Matches:
     """At most `count` matches of each view at random, with sigmas."""
     chosen = [view.matches[at_random(len(view.matches), count)] for view in views]
     return Matches(
@@ -150,25 +159,26 @@ def _resting(maps: Sequence[Floats], number: int) -> Bools:
     return (2 * same > seen) & (seen > 0)
 
 
-def _view(matches: Matches, picture: Image, places: Floats, moving: Bools) -> SceneView:
+def with_keypoints(view: StationView) -> SceneView:
+    """The view with the keypoints of its picture."""
     side = 2 * _HALF_WINDOW + 1
-    inside = np.asarray(cv2.erode(moving.astype(np.uint8), np.ones((side, side), np.uint8)), np.uint8)
-    brightness = log_brightness(picture)
-    pixels, owner, descriptors = _keypoints(brightness, inside)
-    lifted = lift(places, pixels)
+    known = np.isfinite(view.places[..., 0]).astype(np.uint8)
+    inside = np.asarray(cv2.erode(known, np.ones((side, side), np.uint8)), np.uint8)
+    pixels, owner, descriptors = _keypoints(view.brightness, inside)
+    lifted = lift(view.places, pixels)
     is_smooth = lifted.is_smooth
     kept = is_smooth[owner]
     number = np.cumsum(is_smooth) - 1
     return SceneView(
-        matches,
+        view.matches,
+        view.brightness,
+        view.places,
         pixels[is_smooth],
         lifted.projector_px[is_smooth],
         lifted.slope[is_smooth],
         lifted.sigma_px[is_smooth],
         descriptors[kept],
         number[owner[kept]],
-        brightness,
-        np.where(moving[..., None], places, np.nan),
     )
 
 

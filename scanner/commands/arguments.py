@@ -83,15 +83,16 @@ def of_replay(parser: ArgumentParser) -> None:
 
 
 @_command(
-    "Calibrate from matches of another decoder or of earlier results: one capture, or several of one rig at once."
+    "Calibrate from captures, results or matches of another decoder: one of a corner, or several of one rig at once."
 )
 def of_calibrate(parser: ArgumentParser) -> None:
     add_paths(
         parser,
         "matches",
         "MATCHES",
-        "matches.npz, or a result folder; several of one unchanged rig are calibrated together, the newest last; "
-        "one may be a result of scan board",
+        "matches.npz, a result or a recorded capture; several of one unchanged rig are calibrated together, the newest "
+        "last, by the corner that they show or, without any, by what three or more share; one may be a result of scan "
+        "board",
     )
     add_config(parser, required=True)
     add_new_result(parser)

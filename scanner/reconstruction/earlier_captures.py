@@ -1,6 +1,6 @@
 """Captures that exist already: matches files and result folders, read and checked before they are calibrated."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,9 +21,16 @@ _MARGIN_OF_SIZE = 0.1
 
 
 def read_captures(
-    paths: Sequence[Path], camera_size: Size, projector_size: Size, *, one_axis: bool = False
+    paths: Sequence[Path],
+    camera_size: Size,
+    projector_size: Size,
+    *,
+    one_axis: bool = False,
+    decode: Callable[[Path], Decoded] | None = None,
 ) -> list[Decoded]:
     """The captures in matches files and result folders; a result of several captures stands for all of them.
+
+    `decode`: how recordings are read, which are refused without it.
 
     A calibration among them, such as of boards, is no capture, and is only checked: `read_known`. `one_axis`: accept
     matches with one coordinate derived from a calibration. Raises InputError, naming the file, if one is damaged,
@@ -33,7 +40,10 @@ def read_captures(
     captures: list[Decoded] = []
     for path in (path for path in paths if not is_calibration(path)):
         for place in _places(path):
-            capture = _read(place, camera_size, projector_size, one_axis=one_axis)
+            if decode is not None and _is_recording(place):
+                capture = decode(place)
+            else:
+                capture = _read(place, camera_size, projector_size, one_axis=one_axis)
             for earlier in captures:
                 _refuse_same(capture, earlier)
             captures.append(capture)
@@ -45,17 +55,18 @@ def _places(path: Path) -> Iterator[Path]:
     if (path / CAPTURES_FOLDER).is_dir():
         inner = [place for place in (path / CAPTURES_FOLDER).iterdir() if place.name.isdecimal()]
         yield from sorted(inner, key=lambda place: int(place.name))
-    if path.is_dir() and not (path / MATCHES_FILE).is_file():
-        if (path / CAPTURES_FOLDER).is_dir():
+        if not (path / MATCHES_FILE).is_file():
             return  # an interrupted scan: only its finished captures exist
-        if (path / CAPTURE_FILE).is_file():
-            raise InputError(
-                f"{path}: expected matches, found a recording: make a result of it first, with scan replay"
-            )
     yield path
 
 
+def _is_recording(path: Path) -> bool:
+    return (path / CAPTURE_FILE).is_file() and not (path / MATCHES_FILE).is_file()
+
+
 def _read(place: Path, camera_size: Size, projector_size: Size, *, one_axis: bool) -> Decoded:
+    if _is_recording(place):
+        raise InputError(f"{place}: expected matches, found a recording: make a result of it first, with scan replay")
     matches = read_matches(place)
     if not one_axis:
         refuse_one_axis(place)

@@ -2,13 +2,20 @@
 
 from scanner.rooms.blended_cloud import blended, blended_of
 from scanner.rooms.contents import OutlierStation, RigStart, SolvedRoom, Station
-from scanner.rooms.document import given_rig, read_stations
+from scanner.rooms.document import given_rig, read_recording, read_stations
 from scanner.rooms.epipolar_lines import CHANGED_RIG
 from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.jobs import scan_room, writing_refusals
 from scanner.rooms.live import StationComparison, check_stations, take_object_stations
 from scanner.rooms.mesh import CAMERA_FROM_ROOM
-from scanner.rooms.scene_rig import BY_SCENE, rig_from_scene, rig_from_stations, weakness_of
+from scanner.rooms.scene_rig import (
+    BY_SCENE,
+    calibrate_without_corner,
+    rig_from_placed,
+    rig_from_scene,
+    rig_from_stations,
+    weakness_of,
+)
 from scanner.rooms.solve import solve_room
 from scanner.rooms.textures import part_of
 from scanner.rooms.verdict import LOOSE_STATIONS, verdict_on

@@ -31,7 +31,7 @@ def read_stations(
     stations: list[Decoded] = []
     for path in (station for given in paths for station in _stations_in(given)):
         if (path / CAPTURE_FILE).is_file():
-            stations.append(_decoded(path, config, progress, calibration))
+            stations.append(read_recording(path, config, progress, calibration))
         else:
             one_axis = calibration is not None
             stations += read_captures([path], config.camera_size, config.projector_size, one_axis=one_axis)
@@ -54,7 +54,8 @@ def _stations_in(path: Path) -> list[Path]:
     return [path]
 
 
-def _decoded(path: Path, config: Config, progress: Progress, calibration: Calibration | None) -> Decoded:
+def read_recording(path: Path, config: Config, progress: Progress, calibration: Calibration | None = None) -> Decoded:
+    """A recorded capture, decoded. Raises InputError if it is of images of another size."""
     recording = open_capture(path).in_square_pixels(config.projector.grid)
     config.refuse_other_sizes(path, recording.camera_size, recording.projector_size)
     return decode_recording(recording, progress, calibration)

@@ -1,15 +1,16 @@
 """A rig's calibration from its stations: from the corners that they show or, without any, from what they share."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from calib.finding import Finding, FindingKind, Severity, of_kinds
-from calib.geometry import Calibration
+from calib.geometry import Calibration, Pose
 from calib.refusal import RefusalError
-from calib.scene import SceneCalibration, calibrate_scene
+from calib.scene import FEWEST_STATIONS, SceneCalibration, calibrate_scene, recalibrate_scene
 from scanner.configuration import Config
 from scanner.quantities import relative_focal_sigmas
-from scanner.reconstruction import lenses_of
-from scanner.results import MEASUREMENT_GRADE, Decoded
+from scanner.reconstruction import lenses_of, scaled
+from scanner.results import MEASUREMENT_GRADE, Decoded, GivenCalibration
 from scanner.rooms.contents import RigStart
 from scanner.rooms.corner_rig import NO_STATION_WITH_CORNER, rig_from_corners
 from scanner.ui import Progress
@@ -35,15 +36,42 @@ def rig_from_stations(stations: Sequence[Decoded], config: Config, progress: Pro
     except RefusalError as no_corner:
         if no_corner.finding.kind != NO_STATION_WITH_CORNER:
             raise
-        try:
+        with _after(no_corner):
             return rig_from_scene(stations, config, progress)
-        except RefusalError as refusal:
-            reason = f"{no_corner.reason} Without a corner: {refusal.reason}"
-            raise RefusalError(refusal.finding.kind, reason, refusal.advice, refusal.finding.data) from None
 
 
-def rig_from_scene(stations: Sequence[Decoded], config: Config, progress: Progress) -> RigStart:
-    """The rig by what the stations share. Raises RefusalError."""
+def calibrate_without_corner(
+    captures: Sequence[Decoded], config: Config, progress: Progress, no_corner: RefusalError
+) -> tuple[list[GivenCalibration], tuple[Finding, ...]]:
+    """Captures with their rig, by what they share, at the configured scale, and findings.
+
+    Raises RefusalError: `no_corner` for fewer captures than that needs.
+    """
+    if len(captures) < FEWEST_STATIONS:
+        raise no_corner
+    with _after(no_corner):
+        start = rig_from_scene(captures, config, progress)
+    calibration = scaled(start.calibration, None, config.scale)
+    return [GivenCalibration(capture, calibration, start.uncertainty) for capture in captures], start.findings
+
+
+@contextmanager
+def _after(no_corner: RefusalError) -> Iterator[None]:
+    """A refusal in the block says also why there is no corner."""
+    try:
+        yield
+    except RefusalError as refusal:
+        reason = f"{no_corner.reason} Without a corner: {refusal.reason}"
+        raise RefusalError(refusal.finding.kind, reason, refusal.advice, refusal.finding.data) from None
+
+
+def rig_from_scene(
+    stations: Sequence[Decoded], config: Config, progress: Progress, *, provisional: bool = False
+) -> RigStart:
+    """The rig by what the stations share. Raises RefusalError.
+
+    `provisional`: for `rig_from_placed`, also where connected stations leave something open.
+    """
     sizes = stations[0].metadata.camera_size, stations[0].metadata.projector_size
     pictures = [(station.matches, station.texture) for station in stations if station.texture is not None]
     without = len(stations) - len(pictures)
@@ -56,6 +84,27 @@ def rig_from_scene(stations: Sequence[Decoded], config: Config, progress: Progre
             *sizes,
             principal_point=config.principal_point(sizes[0]),
             lenses=lenses_of(config, *sizes),
+            provisional=provisional,
+        )
+    return RigStart(solved.calibration, solved.uncertainty, {}, findings=(finding_on(solved),))
+
+
+def rig_from_placed(
+    start: RigStart, stations: Sequence[tuple[Decoded, Pose]], config: Config, progress: Progress
+) -> RigStart:
+    """The rig by what stations share that are placed, as X_station = R X_any + t in the unit of the start's rig.
+
+    Raises RefusalError.
+    """
+    rig = start.calibration
+    pictures = [(station.matches, station.texture) for station, _ in stations if station.texture is not None]
+    with progress.step("Calibrating by all that the stations share"):
+        solved = recalibrate_scene(
+            rig,
+            pictures,
+            [pose for station, pose in stations if station.texture is not None],
+            principal_point=config.principal_point(rig.camera.size),
+            lenses=lenses_of(config, *rig.sizes),
         )
     return RigStart(solved.calibration, solved.uncertainty, {}, findings=(finding_on(solved),))
 
