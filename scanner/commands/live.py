@@ -67,11 +67,12 @@ def _page(args: Namespace, terminal: Terminal) -> Iterator[Watcher]:
         return
     require_viser()
     from scanner.console import LiveView  # viser is an extra
-    from scanner.viewing import announce_page, serving
+    from scanner.viewing import CloudScene, add_style, announce_page, serving
 
     with serving(f"Live: {args.config.stem}", args.host, args.port) as served:
         served.server.gui.main_panel.dock_left()
-        view = LiveView(served.server)
+        add_style(served.server.gui, panel_left=True)
+        view = LiveView(served.server.gui, CloudScene(served.server))
         announce_page(served.address, args.host, terminal, browser=not args.no_browser)
         yield view
 

@@ -27,9 +27,10 @@ class LiveView(Watcher):
     only: whoever is slow gets fewer of them, and nobody waits for the page. `on_frame` is given one frame of each.
     """
 
-    def __init__(self, server: viser.ViserServer, on_frame: Callable[[Frame], None] = lambda _: None) -> None:
-        gui = server.gui
-        self._scene, self._on_frame = CloudScene(server), on_frame
+    def __init__(
+        self, gui: viser.GuiApi, scene: CloudScene, on_frame: Callable[[Frame], None] = lambda _: None
+    ) -> None:
+        self._scene, self._on_frame = scene, on_frame
         self._wishes = Wishes()
         self._calibration: Calibration | None = None
         self._picked = np.empty(0)
@@ -99,4 +100,4 @@ class LiveView(Watcher):
         if first:
             self._scene.show(cloud_view)
         drawn = self._scene.follow(cloud_view, _COLOURINGS[self._colours.value])
-        self._bar.content = bar_html(drawn.coloured.bar)
+        self._bar.content = bar_html(self._colours.value, drawn.coloured.bar)

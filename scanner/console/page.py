@@ -21,6 +21,7 @@ from scanner.interruption import finishing
 from scanner.results import REFUSAL_FILE, Scan
 from scanner.ui import Terminal
 from scanner.viewing import (
+    CloudScene,
     KnownScale,
     ResultPanel,
     Serving,
@@ -42,20 +43,20 @@ class ConsolePage:
     """`scanner.console.worker.Page` on viser; its buttons are requests to the worker that it starts."""
 
     def __init__(self, served: Serving, settings: ConsoleSettings) -> None:
-        gui = served.server.gui
+        gui, scene = served.server.gui, CloudScene(served.server)
         self._worker = Worker(settings, self)
         self._closed = Event()
         self._watcher = Thread(target=self._watch, name="clock and history", daemon=True)
         gui.main_panel.dock_left()
         gui.main_panel.set_width(_WIDTH_PX)
-        add_style(gui)
+        add_style(gui, panel_left=True)
         self._operating = Operating(gui, self._worker, self._begin_check)
         choice = gui.add_button_group("Page", _PAGES)
         choice.on_click(lambda _: self._turn_to(choice.value))
         self._pages = {name: gui.add_folder(None, visible=name == CAPTURE) for name in _PAGES}
         with self._pages[CAPTURE]:
             # Above the camera, so that it is in view when it ends.
-            self._live = LiveView(served.server, self.on_frame)
+            self._live = LiveView(gui, scene, self.on_frame)
             self._check = CheckView(gui, settings.config, lambda exposure_us: self._camera.set_exposure(exposure_us))
             self._network = NetworkView(gui, self._worker.change, self._operating.prefer_network)
             with gui.add_folder("Camera"):
@@ -66,7 +67,7 @@ class ConsolePage:
                 self._configuration = ConfigurationView(gui, settings.config)
         with self._pages[RESULT]:
             self._hint = gui.add_markdown("A scan's result appears here; earlier ones can be opened in the history.")
-        self._result = ResultPanel(served.server, self._pages[RESULT], served.served_files.link, self._set_scale)
+        self._result = ResultPanel(gui, scene, self._pages[RESULT], served.served_files.link, self._set_scale)
         with self._pages[HISTORY]:
             self._history = History(gui, self._open, served.served_files.link)
         # What the worker tells concerns one part each.

@@ -1,4 +1,4 @@
-"""A finished result in 3-D, in the browser. Only scene, panel, server and view use viser."""
+"""A finished result in 3-D, in the browser. Views, labels, parts and pictures are computed without viser."""
 
 from typing import TYPE_CHECKING
 

@@ -1,21 +1,24 @@
-"""Geometry of the view: frusta, rulers, viewpoint. Arrays only."""
+"""Geometry of the view: frusta, rulers, viewpoint, and what a window shows from there. Arrays only."""
 
 from dataclasses import dataclass
 from math import floor, log10
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
 from scanner.viewing.decimation import shuffled
-from scanner.viewing.result import ViewedCloud
+from scanner.viewing.result import PlacedRig, ViewedCloud
 
 _SAMPLED = 20_000
 _TICKS_WANTED = 4
 FIELD_OF_VIEW_RAD = float(np.radians(50.0))
 # Aspect ratio of a window beside the panel, until the browser reports it.
 USUAL_ASPECT = 1.0
-_MARGIN = 1.1
+_MARGIN = 1.15
+FRUSTUM_OF_SIZE = 0.25
+_CENTRINGS = 8
 _ABOVE, _BESIDE = 0.7, 0.5
 
 
@@ -34,10 +37,10 @@ def typical_size(cloud: ViewedCloud) -> float:
     return float(np.quantile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 0.9)) or 1.0
 
 
-def viewpoint(cloud: ViewedCloud, aspect: float = USUAL_ASPECT) -> Viewpoint:
-    """Return the view from behind, above and beside the newest camera into the corner, with cloud and devices in view.
+def viewpoint(cloud: ViewedCloud, aspect: float = USUAL_ASPECT, upper_share: float = 1.0) -> Viewpoint:
+    """Return the view from behind, above and beside the newest camera: the cloud in the middle, all devices in view.
 
-    `aspect`: of the window, width over height.
+    `aspect`: of the window, width over height; `upper_share`: the share of its height that nothing covers.
     """
     points = _some(cloud)
     middle = np.median(points, axis=0)
@@ -54,18 +57,80 @@ def viewpoint(cloud: ViewedCloud, aspect: float = USUAL_ASPECT) -> Viewpoint:
     right = np.cross(cloud.up, backward)
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(backward, right), backward])
-    near = np.linalg.norm(points - middle, axis=1) <= 2 * typical_size(cloud)  # outliers may be out of sight
-    in_view = np.concatenate([points[near], devices]) @ axes.T
-    centre = (in_view.min(axis=0) + in_view.max(axis=0)) / 2
-    in_view -= centre
-    half = np.tan(FIELD_OF_VIEW_RAD / 2) / _MARGIN
-    distance = float(np.max(in_view[:, 2] + np.max(np.abs(in_view[:, :2]) / (half * aspect, half), axis=1)))
-    target = centre @ axes
+    size = typical_size(cloud)
+    near = points[np.linalg.norm(points - middle, axis=1) <= 2 * size] @ axes.T  # outliers may be out of sight
+    centre = (near.min(axis=0) + near.max(axis=0)) / 2
+    frusta = [corners for rig in cloud.rigs for corners in frusta_of(rig, FRUSTUM_OF_SIZE * size)]
+    in_view = np.concatenate([near, *(corners @ axes.T for corners in (devices, *frusta))])
+    tangent = np.tan(FIELD_OF_VIEW_RAD / 2)
+    # The middle and half of the height that is free, in distances from the eye.
+    above, half = (1 - upper_share) * tangent, upper_share * tangent / _MARGIN
+    for _ in range(_CENTRINGS):
+        x, y, z = (in_view - centre).T
+        beside = z + np.abs(x) / (tangent * aspect / _MARGIN)
+        distance = float(np.max([beside, (y + (half + above) * z) / half, (-y + (half - above) * z) / half]))
+        # What is nearer looks larger: the middle of the points is not the middle of their picture.
+        seen_at = (near - centre + (0, above * distance, 0))[:, :2] / (distance - (near - centre)[:, 2:])
+        aside_of_middle = (seen_at.min(axis=0) + seen_at.max(axis=0)) / 2 - (0, above)
+        centre[:2] += aside_of_middle * distance
+    target = centre @ axes - above * distance * axes[1]
     return Viewpoint(target + distance * backward, target, cloud.up)
+
+
+@dataclass(frozen=True)
+class WindowView:
+    """What a window shows: `width` by `height` pixels, `fov_rad` from its top to its bottom.
+
+    From `position` (3,); rows of `axes` (3, 3) point to its right, downwards and ahead.
+    """
+
+    position: Floats
+    axes: Floats
+    fov_rad: float
+    width: int
+    height: int
+
+    @classmethod
+    def towards(cls, view: Viewpoint, fov_rad: float, width: int, height: int) -> "WindowView":
+        """The view of a window from a place, upright."""
+        ahead = (view.target - view.position) / np.linalg.norm(view.target - view.position)
+        right = np.cross(ahead, view.up)
+        right /= np.linalg.norm(right)
+        return cls(view.position, np.stack([right, np.cross(ahead, right), ahead]), fov_rad, width, height)
+
+    @property
+    def focal_px(self) -> float:
+        """The distance, in pixels, at which a length is as many pixels long."""
+        return float(self.height / 2 / np.tan(self.fov_rad / 2))
+
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
+        """Pixels (N, 2) of points (N, 3) from the window's top left, and how far ahead they are, (N,).
+
+        Pixels of points that are not ahead mean nothing.
+        """
+        before = (points - self.position) @ self.axes.T
+        depth = before[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixels = self.focal_px * before[:, :2] / depth[:, None] + (self.width / 2, self.height / 2)
+        return pixels, depth
+
+
+def turned(view: Viewpoint, angle_rad: float) -> Viewpoint:
+    """The same view after a turn about the upright axis through its target."""
+    about = Rotation.from_rotvec(angle_rad * view.up / np.linalg.norm(view.up))
+    return Viewpoint(view.target + about.apply(view.position - view.target), view.target, view.up)
 
 
 def _some(cloud: ViewedCloud) -> Floats:
     return cloud.points[shuffled(len(cloud.points))[:_SAMPLED]]
+
+
+def frusta_of(rig: PlacedRig, depth: float) -> tuple[Floats, Floats]:
+    """The corners (4, 3) of the camera's and the projector's picture at `depth` before them, in the cloud's frame."""
+    calibration = rig.calibration
+    in_projector = picture_corners(calibration.projector, depth)
+    of_projector: Floats = rig.pose @ calibration.pose.inverse() @ in_projector
+    return rig.pose @ picture_corners(calibration.camera, depth), of_projector
 
 
 def picture_corners(device: Intrinsics, depth: float) -> Floats:

@@ -14,6 +14,7 @@ from scanner.viewing.colouring import Colouring
 from scanner.viewing.crop import whole
 from scanner.viewing.decimation import statement
 from scanner.viewing.files import add_files
+from scanner.viewing.keeping import Keeping
 from scanner.viewing.network import network_cloud
 from scanner.viewing.result import ViewedCloud, ViewedResult
 from scanner.viewing.scene import CloudScene
@@ -32,13 +33,13 @@ class ResultPanel:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        gui: viser.GuiApi,
+        scene: CloudScene,
         place: viser.GuiTabHandle | viser.GuiFolderHandle,
         link: LinkTo,
         set_scale: SetScale | None = None,
     ) -> None:
-        self._gui = server.gui
-        self._scene = CloudScene(server)
+        self._gui, self._scene = gui, scene
         self._place, self._link, self._set_scale = place, link, set_scale
         self._lock = Lock()
         self._parts: list[viser.GuiFolderHandle] = []
@@ -66,8 +67,9 @@ class ResultPanel:
                 add_files(self._gui, result.folder, self._link)
             with self._folder("View"):
                 self._add_choice(result, name)
+                self._scene.show(cloud)
                 controls = ViewControls(self._gui, self._scene, cloud, title)
-            self._scene.show(cloud)
+                Keeping(self._gui, self._scene, title, lambda: controls.legend)
             with self._folder("Measure by clicking"):
                 self._clicking = Clicking(self._gui, self._scene, cloud, self._set_scale)
             with self._folder("Calibration, ± one standard deviation"):
@@ -100,9 +102,10 @@ class ResultPanel:
                 self._gui.add_markdown(verdict_text(verdict))
                 add_files(self._gui, folder, self._link)
             if cloud is not None:
+                self._scene.show(cloud)
                 with self._folder("View"):
                     controls = ViewControls(self._gui, self._scene, cloud, folder.name)
-                self._scene.show(cloud)
+                    Keeping(self._gui, self._scene, folder.name, lambda: controls.legend)
             self._add_notes(verdict)
         if cloud is not None:
             controls.draw()

@@ -82,6 +82,8 @@ class ViewedCloud:
     frame: Literal["camera", "corner", "room"]
     scans: PlacedPoints | None = field(default=None, kw_only=True)
     """What the cloud was made of, in its frame, to measure in; None if there is nothing."""
+    has_walls: bool = field(default=True, kw_only=True)
+    """Whether it may be of a room; False of a thing."""
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
@@ -218,7 +220,18 @@ class ViewedResult:
         up = np.array([0.0, 0.0, 1.0])
         errors = rig_errors(self.calibration, read_uncertainty(self.folder / CALIBRATION_FILE, self.calibration))
         scans = PlacedPoints.of(room, errors)
-        return ViewedCloud(cloud.points, cloud.normals, cloud.colours, rigs, None, up, room.unit, "room", scans=scans)
+        return ViewedCloud(
+            cloud.points,
+            cloud.normals,
+            cloud.colours,
+            rigs,
+            None,
+            up,
+            room.unit,
+            "room",
+            scans=scans,
+            has_walls=not room.is_object,
+        )
 
     def _merged(self) -> ViewedCloud:
         result = read_finished_result(self.folder)

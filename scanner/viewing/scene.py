@@ -1,15 +1,15 @@
 """A cloud in the browser: its points, the rigs that saw it, the faces, their vertex, and a ruler."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.numerics import Floats
+from calib.numerics import Bools, Floats
 from scanner.measuring import angle_cells
 from scanner.quantities import device_names, shown_unit
 from scanner.rendering import BLUE, FACE_COLOURS, VERMILION, frustum_lines
@@ -17,20 +17,21 @@ from scanner.viewing.colouring import Coloured, Colouring, coloured
 from scanner.viewing.corner import MeasuredCorner
 from scanner.viewing.crop import Box, whole
 from scanner.viewing.geometry import (
-    FIELD_OF_VIEW_RAD,
+    FRUSTUM_OF_SIZE,
+    frusta_of,
     nice_step,
-    picture_corners,
     ruler_lines,
     typical_size,
-    viewpoint,
 )
+from scanner.viewing.label_layout import Anchor, Label
 from scanner.viewing.result import PlacedRig, ViewedCloud
+from scanner.viewing.see_through import PartKind, RoomPart, room_parts
 from scanner.viewing.surface import SurfaceMesh
 from scanner.viewing.texts import angle_name
+from scanner.viewing.windows import LABELS, Drawn, Windows, rest_of
 
 # The browser's camera is made for scenes of a few units, so clouds are scaled to this size.
 _DRAWN_SIZE = 2.0
-_FRUSTUM_OF_SIZE = 0.25
 _FACE_OPACITY = 0.15
 # Equally visible on white and dark pages.
 _INK = (118, 118, 118)
@@ -38,8 +39,10 @@ _LINE_PX = 2.0
 _POINT_OF_SIZE = 0.9
 _BALL_OF_SIZE = 0.006
 
-CLOUD, RIGS, FACES, LABELS, PICKED, BOX = "/cloud", "/rigs", "/faces", "/labels", "/picked", "/box"
-_MESH = f"{CLOUD}/mesh"
+CLOUD, RIGS, FACES, PICKED, BOX = "/cloud", "/rigs", "/faces", "/picked", "/box"
+PARTS = {kind: f"{CLOUD}/{kind.value}" for kind in PartKind}
+_MESH, _POINTS = f"{CLOUD}/mesh", f"{CLOUD}/points"
+_SEEN_THROUGH = 8  # one point in so many stays of a wall that is seen through
 
 
 @dataclass(frozen=True)
@@ -62,21 +65,27 @@ class CloudScene:
         self._scene = server.scene
         self._cloud: ViewedCloud | None = None
         self._factor = 1.0
+        self._parts: tuple[RoomPart, ...] = ()
+        self._labels: list[Label] = []
+        self._drawn_points: list[viser.PointCloudHandle] = []
         self._scene.configure_default_lights(cast_shadow=False)
-        server.on_client_connect(self._aim)
+        self.windows = Windows(server)
 
     def clear(self) -> None:
         """Show nothing."""
         for name in (CLOUD, RIGS, FACES, LABELS, PICKED, BOX):
             self._scene.remove_by_name(name)
-        self._cloud = None
+        self.windows.clear()
+        self._cloud, self._parts, self._labels, self._drawn_points = None, (), [], []
 
     def show(self, cloud: ViewedCloud) -> None:
         """Draw everything about a cloud but its points, and look at it from a good place."""
         self.clear()
         self._cloud = cloud
         self._factor = _DRAWN_SIZE / typical_size(cloud)
-        for parent in (CLOUD, RIGS, FACES, LABELS):
+        self._parts = room_parts(cloud)
+        rests = (rest_of(PARTS[part.kind], number) for number, part in enumerate(self._parts))
+        for parent in (CLOUD, RIGS, FACES, LABELS, *PARTS.values(), *rests):
             self._scene.add_frame(parent, show_axes=False)
         for number, rig in enumerate(reversed(cloud.rigs), start=1):
             first, second = device_names(rig.calibration, number, len(cloud.rigs))
@@ -91,28 +100,28 @@ class CloudScene:
         self._cloud = replace(cloud, rigs=self._required.rigs)
         return self.draw_points(1.0, colouring, whole(cloud))
 
+    @property
+    def kinds(self) -> set[PartKind]:
+        """What of a room was recognised in the cloud."""
+        return {part.kind for part in self._parts}
+
     def look(self) -> None:
         """Take all windows back to the first view."""
-        if self._cloud is None:
-            return
-        view = viewpoint(self._cloud)
-        self._scene.set_up_direction(view.up)
-        first = self._server.initial_camera
-        first.up, first.fov = view.up, FIELD_OF_VIEW_RAD
-        first.position, first.look_at = self._drawn(view.position), self._drawn(view.target)
-        for client in self._server.get_clients().values():
-            self._aim(client)
+        if self._cloud is not None:
+            walls = {rest_of(PARTS[part.kind], number): part for number, part in enumerate(self._parts)}
+            self.windows.show(Drawn(self._cloud, self._factor, tuple(self._labels), walls))
 
-    def _aim(self, client: viser.ClientHandle) -> None:
-        """Have a window show everything, however narrow it is."""
-        if self._cloud is None:
-            return
-        view = viewpoint(self._cloud, client.camera.aspect)
-        with client.atomic():
-            client.camera.up_direction = view.up
-            client.camera.position = self._drawn(view.position)
-            client.camera.look_at = self._drawn(view.target)
-            client.camera.fov = FIELD_OF_VIEW_RAD
+    @contextmanager
+    def enlarged(self, factor: float) -> Iterator[None]:
+        """Points are drawn larger meanwhile: their size is in pixels, of which a larger picture has more."""
+        sizes = [(points, points.point_size) for points in self._drawn_points]
+        for points, size in sizes:
+            points.point_size = factor * size
+        try:
+            yield
+        finally:
+            for points, size in sizes:
+                points.point_size = size
 
     def draw_points(self, share: float, colouring: Colouring, box: Box) -> ViewSummary:
         """Draw a share of the cloud's points that are in the box, spread evenly."""
@@ -121,17 +130,36 @@ class CloudScene:
         chosen = np.sort(inside[: max(1, round(share * len(inside)))])
         paint = coloured(cloud, chosen, colouring)
         self._scene.remove_by_name(_MESH)
-        self._scene.add_point_cloud(
-            f"{CLOUD}/points",
-            points=self._drawn(cloud.points[chosen]),
-            colors=paint.colours,
-            # The point size equals their spacing on surfaces that fill the view.
-            point_size=_POINT_OF_SIZE * _DRAWN_SIZE / np.sqrt(max(share * len(cloud.points), 1)),
-            point_shape="circle",
-            point_shading="flat",
-            precision="float32",
-        )
+        # The point size equals their spacing on surfaces that fill the view.
+        size = _POINT_OF_SIZE * _DRAWN_SIZE / np.sqrt(max(share * len(cloud.points), 1))
+        self._drawn_points = []
+        for name, of_part in self._split(chosen):
+            self._scene.remove_by_name(name)
+            if of_part.any():
+                points = self._scene.add_point_cloud(
+                    name,
+                    points=self._drawn(cloud.points[chosen[of_part]]),
+                    colors=paint.colours[of_part],
+                    point_size=size,
+                    point_shape="circle",
+                    point_shading="flat",
+                    precision="float32",
+                )
+                self._drawn_points.append(points)
         return ViewSummary(len(chosen), len(inside), 0, paint)
+
+    def _split(self, chosen: NDArray[np.int64]) -> Iterator[tuple[str, Bools]]:
+        """Names of nodes, and which of the points (n,) each draws, (n,): those of walls apart from the others."""
+        part_of = np.full(len(self._required.points), -1)
+        for number, part in enumerate(self._parts):
+            part_of[part.points] = number
+        among = part_of[chosen]
+        yield _POINTS, among < 0
+        stays = np.random.default_rng(0).random(len(chosen)) < 1 / _SEEN_THROUGH
+        for number, part in enumerate(self._parts):
+            of_part = among == number
+            yield f"{PARTS[part.kind]}/few {number}", of_part & stays
+            yield f"{rest_of(PARTS[part.kind], number)}/points", of_part & ~stays
 
     def draw_surface(self, surface: SurfaceMesh, colouring: Colouring, box: Box) -> ViewSummary:
         """Draw the triangles in place of the points."""
@@ -142,7 +170,9 @@ class CloudScene:
         colours[used] = paint.colours
         inside = box.holds(cloud.points) if box.bounded else None
         data, triangles = surface.glb(colours, inside)
-        self._scene.remove_by_name(f"{CLOUD}/points")
+        for points in self._drawn_points:
+            points.remove()
+        self._drawn_points = []
         self._scene.remove_by_name(_MESH)
         if triangles:
             # Rotated from glTF's y up to the camera's y down.
@@ -174,7 +204,7 @@ class CloudScene:
             self._lines(f"{PICKED}/line", np.stack([places[:-1], places[1:]], axis=1), VERMILION)
 
     def set_visible(self, part: str, visible: bool) -> None:
-        """Show or hide `CLOUD`, `RIGS`, `FACES` or `LABELS`."""
+        """Show or hide `CLOUD`, `RIGS`, `FACES`, `LABELS` or one of `PARTS`."""
         handle = self._scene.get_handle_by_name(part)
         if handle is not None:
             handle.visible = visible
@@ -189,19 +219,17 @@ class CloudScene:
         return (self._factor * points).astype(np.float32)
 
     def _draw_rig(self, name: str, rig: PlacedRig, names: tuple[str, str]) -> None:
-        calibration = rig.calibration
-        depth = _FRUSTUM_OF_SIZE * _DRAWN_SIZE / self._factor
-        of_camera = picture_corners(calibration.camera, depth)
-        in_projector = picture_corners(calibration.projector, depth)
+        depth = FRUSTUM_OF_SIZE * _DRAWN_SIZE / self._factor
+        in_cloud, of_projector = frusta_of(rig, depth)
+        of_camera = rig.pose.inverse() @ in_cloud
         centre = rig.projector_centre
-        of_projector = rig.pose @ calibration.pose.inverse() @ in_projector
         self._lines(f"{name}/camera", rig.pose @ frustum_lines(of_camera), BLUE)
         self._lines(f"{name}/projector", frustum_lines(of_projector - centre) + centre, VERMILION)
         self._lines(f"{name}/baseline", np.stack([rig.position, centre])[None], _INK)
         if rig.picture is not None:
             self._draw_picture(f"{name}/picture", rig, rig.picture, of_camera)
-        for label, place, anchor in zip(names, (rig.position, centre), ("bottom-right", "bottom-left"), strict=True):
-            self._label(f"{LABELS}/{label}", label, place, anchor)
+        self._label(names[0], rig.position, "bottom-right")
+        self._label(names[1], centre, "bottom-left")
 
     def _draw_picture(self, name: str, rig: PlacedRig, picture: NDArray[np.uint8], corners: Floats) -> None:
         """The camera's picture where its frustum ends; a picture lies in its own x, y plane, y down."""
@@ -232,13 +260,13 @@ class CloudScene:
                 receive_shadow=False,
             )
             self._lines(f"{FACES}/outline {face.name}", np.stack([outline, np.roll(outline, -1, axis=0)], 1), colour)
-            self._label(f"{LABELS}/face {face.name}", f"Face {face.name}", outline.mean(axis=0), "center-center")
+            self._label(f"Face {face.name}", outline.mean(axis=0), "center-center")
         ends = {face.name: outline for face, outline in zip(corner.scene.faces, outlines, strict=True)}
         for angle in corner.scene.angles:
             first, second = (ends[name] for name in angle.faces)
             text = f"{angle_name(angle.faces)}: {' '.join(angle_cells(angle))}"
-            self._label(f"{LABELS}/{text}", text, _end_of_common_edge(first, second), "center-center")
-        self._label(f"{LABELS}/vertex", "Vertex", vertex, "bottom-center")
+            self._label(text, _end_of_common_edge(first, second), "center-center")
+        self._label("Vertex", vertex, "bottom-center")
         self._scene.add_icosphere(f"{FACES}/vertex", 0.012 * _DRAWN_SIZE, color=_INK, position=self._drawn(vertex))
 
     def _draw_ruler(self, cloud: ViewedCloud) -> None:
@@ -247,7 +275,7 @@ class CloudScene:
         if cloud.corner is None:
             for rig in cloud.rigs[:1]:
                 middle = rig.pose @ (rig.calibration.projector_centre / 2)
-                self._label(f"{LABELS}/ruler", unit.length(rig.calibration.baseline), middle, "top-center")
+                self._label(unit.length(rig.calibration.baseline), middle, "top-center")
             return
         rig = cloud.rigs[0]
         legs = rig.pose.rotate(cloud.corner.corner.legs)
@@ -261,14 +289,14 @@ class CloudScene:
         text = f"{unit.factor * step:g} {unit.name}"
         # Next to a tick near the edge's middle, because its ends carry a name and an angle.
         place = (max(0, round(reach / (2 * step) - 0.5)) + 0.5) * step
-        self._label(f"{LABELS}/ruler", text, vertex + place * edge, "top-center")
+        self._label(text, vertex + place * edge, "top-center")
 
     def _lines(self, name: str, segments: Floats, colour: tuple[int, int, int]) -> None:
         points = self._drawn(segments)
         self._scene.add_line_segments(name, points, colour, thickness=_LINE_PX, thickness_units="screen")
 
-    def _label(self, name: str, text: str, position: Floats, anchor: Any) -> None:
-        self._scene.add_label(name, text, position=self._drawn(position), anchor=anchor)
+    def _label(self, text: str, place: Floats, anchor: Anchor) -> None:
+        self._labels.append(Label(text, place, anchor))
 
 
 def _end_of_common_edge(first: Floats, second: Floats) -> Floats:

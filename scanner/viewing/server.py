@@ -50,9 +50,11 @@ def serving(title: str, host: str, wanted_port: int | None) -> Iterator[Serving]
         server.stop()
 
 
-def add_style(gui: viser.GuiApi) -> None:
-    """Add the page's style to viser's; requires an open GUI container."""
-    gui.add_html(f"<style>{script(_STYLE)}</style>")
+def add_style(gui: viser.GuiApi, *, panel_left: bool = False) -> None:
+    """Add the page's style to viser's; requires an open GUI container. What lies over the view is away from the panel,
+    which is at the right or at the left.
+    """
+    gui.add_html(f'<style>{script(_STYLE)}</style><div class="scan-panel-{"left" if panel_left else "right"}"></div>')
 
 
 def announce_page(where: str, host: str, terminal: Terminal, *, browser: bool) -> None:

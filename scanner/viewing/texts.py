@@ -35,15 +35,16 @@ def link_html(address: str, text: str) -> str:
     return f'<p class="scan-link"><a href="{escape(address)}" target="_blank" rel="noopener">{escape(text)}</a></p>'
 
 
-def bar_html(bar: ColourBar | None) -> str:
-    """Shades from end to end, with labels at both ends and in the middle; '' for none."""
+def bar_html(title: str, bar: ColourBar | None) -> str:
+    """What the colours mean, over the view: shades, with labels at both ends and in the middle; '' for none."""
     if bar is None:
         return ""
     shades = ", ".join(css_colour((int(r), int(g), int(b))) for r, g, b in bar.shades[:: max(1, len(bar.shades) // 16)])
     ends = "".join(f"<span>{escape(text)}</span>" for text in (bar.low, bar.middle, bar.high))
     return (
-        f'<div class="scan-bar" role="img" aria-label="colours from {escape(bar.low)} to {escape(bar.high)}">'
-        f'<div style="background: linear-gradient(to right, {shades})"></div><p>{ends}</p></div>'
+        f'<div class="scan-over">{escape(title)}<div class="scan-bar" role="img" aria-label="colours from '
+        f'{escape(bar.low)} to {escape(bar.high)}"><div style="background: linear-gradient(to right, {shades})"></div>'
+        f"<p>{ends}</p></div></div>"
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from scanner.io import given_path
 from scanner.ui import Terminal
 from scanner.viewing.panel import ResultPanel, reading
+from scanner.viewing.scene import CloudScene
 from scanner.viewing.server import add_style, announce_page, serving, wait
 
 
@@ -18,6 +19,6 @@ def view_result(folder: Path, host: str, port: int | None, terminal: Terminal, *
         tabs = gui.add_tab_group()
         with tabs.add_tab("Result") as tab:
             add_style(gui)
-        show(ResultPanel(served.server, tab, served.served_files.link))
+        show(ResultPanel(gui, CloudScene(served.server), tab, served.served_files.link))
         announce_page(served.address, host, terminal, browser=browser)
         wait()

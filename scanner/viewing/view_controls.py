@@ -12,15 +12,16 @@ import viser
 
 from scanner.quantities import shown_unit
 from scanner.ui import failure_of
-from scanner.viewing.colouring import Colouring, possible_colourings
+from scanner.viewing.colouring import ColourBar, Colouring, possible_colourings
 from scanner.viewing.crop import Box, box_within, frame_of, write_cropped
 from scanner.viewing.decimation import DEFAULT_SHOWN, many, statement
 from scanner.viewing.result import CaptureCloud, ViewedCloud
-from scanner.viewing.scene import FACES, LABELS, RIGS, CloudScene, ViewSummary
+from scanner.viewing.scene import FACES, PARTS, RIGS, CloudScene, ViewSummary
 from scanner.viewing.surface import SurfaceMesh, surface_of
 from scanner.viewing.texts import bar_html, bold
+from scanner.viewing.windows import LABELS
 
-_PARTS = {"Devices": RIGS, "Faces, ruler": FACES, "Names": LABELS}
+_PARTS = {"Devices": RIGS, "Faces, ruler": FACES, "Labels": LABELS}
 _WHOLE_PERCENT = 100
 _POINTS, _SURFACE = "Points", "Surface"
 _STEPS = 200  # least number of steps in a range
@@ -38,13 +39,14 @@ def failures_shown(message: viser.GuiMarkdownHandle) -> Iterator[None]:
 
 class ViewControls:
     """The controls of one cloud, in the GUI container that is open on creation; `name` is used for files of a part of
-    it.
+    it. `legend`: the title and the bar of the colours that are shown.
     """
 
     def __init__(self, gui: viser.GuiApi, scene: CloudScene, cloud: ViewedCloud, name: str) -> None:
         self._gui, self._scene, self._cloud, self._name = gui, scene, cloud, name
         self._lock = Lock()
         self._drawn: object = None
+        self.legend: tuple[str, ColourBar | None] = ("", None)
         self._surface: SurfaceMesh | None = None
         self._frame = frame_of(cloud)
         self._shown_as = gui.add_dropdown(
@@ -55,6 +57,9 @@ class ViewControls:
         percent = max(1, min(_WHOLE_PERCENT, round(_WHOLE_PERCENT * DEFAULT_SHOWN / len(cloud.points))))
         self._percent = gui.add_slider("Points, %", min=1, max=_WHOLE_PERCENT, step=1, initial_value=percent)
         self._statement = gui.add_markdown("")
+        for kind, part in PARTS.items():
+            lacking = None if kind in scene.kinds else f"No {kind.value.lower()} was recognised in this cloud."
+            self._add_part(kind.value, part, lacking)
         for label, part in _PARTS.items():
             self._add_part(label, part)
         gui.add_button("Back to the first view", color=PLAIN).on_click(lambda _: scene.look())
@@ -94,7 +99,8 @@ class ViewControls:
                 drawn = self._draw(colouring, share, box, as_surface=as_surface)
                 self._drawn = wanted
                 self._percent.disabled = as_surface
-                self._bar.content = bar_html(drawn.coloured.bar)
+                self.legend = (colouring.value, drawn.coloured.bar)
+                self._bar.content = bar_html(*self.legend)
                 self._statement.content = f"{self._how_many(drawn, box)} {drawn.coloured.legend}"
 
     def _draw(self, colouring: Colouring, share: float, box: Box, *, as_surface: bool) -> ViewSummary:
@@ -109,8 +115,9 @@ class ViewControls:
         part = f", of {many(len(self._cloud.points))} in all" if box.bounded else ""
         return f"{statement(drawn.points, drawn.among).capitalize()}{part}."
 
-    def _add_part(self, label: str, part: str) -> None:
-        box = self._gui.add_checkbox(label, initial_value=True)
+    def _add_part(self, label: str, part: str, lacking: str | None = None) -> None:
+        """A box for it; `lacking` says why it cannot be used."""
+        box = self._gui.add_checkbox(label, initial_value=lacking is None, disabled=lacking is not None, hint=lacking)
         box.on_update(lambda _: self._scene.set_visible(part, box.value))
 
     def _range(self, axis: int) -> tuple[float, float]:

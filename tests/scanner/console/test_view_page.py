@@ -4,7 +4,9 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, expect
 
 from calib.geometry import Intrinsics
@@ -48,9 +50,29 @@ def test_the_page_shows_everything_about_the_result(visit: Visit) -> None:
 
 def test_the_cloud_is_shown_and_can_be_hidden(visit: Visit) -> None:
     with_everything = visit.at_rest(lambda colours: colours > 50)
-    for part in ("Devices", "Faces, ruler", "Names"):
+    for part in ("Devices", "Faces, ruler", "Labels"):
         visit.page.get_by_label(part, exact=True).uncheck()
     visit.at_rest(lambda colours: 10 < colours < with_everything)
+
+
+def test_the_view_has_a_scale_and_is_kept_as_it_is(visit: Visit, served: Served) -> None:
+    bar = visit.page.get_by_role("img", name=re.compile(r"scale bar: [\d.]+ mm"))
+    assert 40 < bar.locator("div").evaluate("bar => bar.getBoundingClientRect().width") < 160
+    expect(visit.page.get_by_label("Ceiling", exact=True)).to_be_disabled()  # this cloud has none
+    box = visit.page.locator("canvas").first.bounding_box()
+    assert box
+    visit.page.get_by_text("Keep the view").click()
+    for button, name, size in (
+        ("Picture, twice its size (PNG)", "room-view.png", 2.0),
+        ("A turn around it (GIF)", "room-turn.gif", 720 / max(box["width"], box["height"])),
+    ):
+        with visit.page.expect_download() as download:
+            visit.press(button)
+        assert download.value.suggested_filename == name
+        with Image.open(download.value.path()) as picture:
+            assert picture.size == pytest.approx((size * box["width"], size * box["height"]), abs=2)
+            assert len(np.unique(np.asarray(picture.convert("L")))) > 20, "the cloud is in it"
+    visit.wait_for("Saved as turn.gif")
 
 
 def test_points_are_thinned_and_coloured(visit: Visit) -> None:

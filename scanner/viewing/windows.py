@@ -1,0 +1,206 @@
+"""What differs between browser windows on a scene: their views, the room for labels, walls before them, the scale."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from threading import Lock
+
+import numpy as np
+import viser
+from scipy.spatial.transform import Rotation
+
+from calib.numerics import Floats
+from scanner.viewing.geometry import FIELD_OF_VIEW_RAD, Viewpoint, WindowView, viewpoint
+from scanner.viewing.label_layout import Label, arranged
+from scanner.viewing.result import ViewedCloud
+from scanner.viewing.scale_bar import ScaleBar, scale_bar, scale_bar_html
+from scanner.viewing.see_through import RoomPart
+
+LABELS = "/labels"
+_NARROW_PX, _UNCOVERED = 576, 0.55  # of windows so narrow, the panel covers the lower part (page.css)
+_STILL = 1e-3  # of the distance to the target: a window that has not been moved
+
+
+def rest_of(parent: str, number: int) -> str:
+    """The node of what is left out of a part that is seen through."""
+    return f"{parent}/rest {number}"
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A `cloud` in a scene, where it is `factor` times as large, with its `labels`; `walls` by the nodes of what is
+    left out of each where it is seen through.
+    """
+
+    cloud: ViewedCloud
+    factor: float
+    labels: tuple[Label, ...]
+    walls: Mapping[str, RoomPart]
+
+
+class Windows:
+    """All windows of a server."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._lock = Lock()
+        self._drawn: Drawn | None = None
+        self._windows: dict[int, Window] = {}
+        server.on_client_connect(self._add)
+        server.on_client_disconnect(lambda client: self._windows.pop(client.client_id, None))
+
+    def show(self, drawn: Drawn) -> None:
+        """Look at it from a good place."""
+        view = viewpoint(drawn.cloud)
+        self._server.scene.set_up_direction(view.up)
+        first = self._server.initial_camera
+        first.up, first.fov = view.up, FIELD_OF_VIEW_RAD
+        first.position, first.look_at = drawn.factor * view.position, drawn.factor * view.target
+        with self._lock:
+            self._drawn = drawn
+            windows = list(self._windows.values())
+        for window in windows:
+            window.show(drawn)
+
+    def clear(self) -> None:
+        """Show no labels and no scale."""
+        with self._lock:
+            self._drawn = None
+            windows = list(self._windows.values())
+        for window in windows:
+            window.clear()
+
+    def of(self, client: viser.ClientHandle) -> "Window | None":
+        """That of a client."""
+        return self._windows.get(client.client_id)
+
+    def _add(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            window = self._windows[client.client_id] = Window(client)
+            drawn = self._drawn
+        if drawn is not None:
+            window.show(drawn)
+        client.camera.on_update(lambda _: window.follow())
+
+
+class Window:
+    """One window."""
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self.client = client
+        self._lock = Lock()
+        self._drawn: Drawn | None = None
+        self._aimed: Viewpoint | None = None
+        self._aspect = 0.0
+        self._is_there = False
+        self._labels: list[viser.LabelHandle] = []
+        self._walls: dict[str, viser.FrameHandle] = {}
+        self._scale = client.gui.add_html("")
+
+    def show(self, drawn: Drawn) -> None:
+        """Show everything, however narrow the window is."""
+        with self._lock:
+            self._remove()
+            self._drawn = drawn
+            scene = self.client.scene
+            self._labels = [
+                scene.add_label(
+                    f"{LABELS}/{number}", label.text, position=drawn.factor * label.place, anchor=label.anchor
+                )
+                for number, label in enumerate(drawn.labels)
+            ]
+            # A frame of the window's own takes the place of the scene's, with what is in it.
+            self._walls = {name: scene.add_frame(name, show_axes=False) for name in drawn.walls}
+            self._aim(drawn)
+
+    def clear(self) -> None:
+        """Show nothing of a cloud."""
+        with self._lock:
+            self._remove()
+
+    def follow(self) -> None:
+        """The window is looked through from elsewhere, or has another size."""
+        with self._lock:
+            drawn, aimed, camera = self._drawn, self._aimed, self.client.camera
+            if drawn is None:
+                return
+            if aimed is not None:
+                reach = drawn.factor * float(np.linalg.norm(aimed.position - aimed.target))
+                off = np.linalg.norm(camera.position - drawn.factor * aimed.position)
+                # An answer that is older than the view does not say that somebody has moved.
+                if off < _STILL * reach:
+                    self._is_there = True
+                elif self._is_there:
+                    self._aimed = None
+                if self._aimed is not None and camera.aspect != self._aspect:
+                    self._aim(drawn)
+                    return
+            self._arrange(drawn, self._view(drawn))
+
+    @property
+    def view(self) -> WindowView | None:
+        """What it shows of the cloud, in the cloud's frame; None without one."""
+        return None if self._drawn is None else self._view(self._drawn)
+
+    @property
+    def viewpoint(self) -> Viewpoint | None:
+        """From where to where it looks, in the cloud's frame; None without a cloud."""
+        drawn, camera = self._drawn, self.client.camera
+        if drawn is None:
+            return None
+        return Viewpoint(camera.position / drawn.factor, camera.look_at / drawn.factor, camera.up_direction)
+
+    def drawn_position(self, view: WindowView) -> Floats:
+        """The position of a view in the scene, (3,)."""
+        return view.position * (1.0 if self._drawn is None else self._drawn.factor)
+
+    def scale_of(self, view: WindowView) -> ScaleBar:
+        """The scale bar of a view, for the middle of it. Raises ValueError without a cloud."""
+        if self._drawn is None:
+            raise ValueError("without a cloud there is no scale")
+        distance = float(np.linalg.norm(self.client.camera.look_at / self._drawn.factor - view.position))
+        return scale_bar(view.focal_px / max(distance, np.finfo(np.float64).tiny), self._drawn.cloud.unit)
+
+    def arrange(self, view: WindowView) -> None:
+        """Have labels and walls as they have to be for a view."""
+        with self._lock:
+            if self._drawn is not None:
+                self._arrange(self._drawn, view)
+
+    def _view(self, drawn: Drawn) -> WindowView:
+        camera = self.client.camera
+        axes = Rotation.from_quat(camera.wxyz, scalar_first=True).as_matrix().T
+        position = camera.position / drawn.factor
+        return WindowView(position, axes, camera.fov, camera.image_width, camera.image_height)
+
+    def _aim(self, drawn: Drawn) -> None:
+        camera = self.client.camera
+        self._aspect, self._is_there = camera.aspect, False
+        uncovered = _UNCOVERED if camera.image_width < _NARROW_PX else 1.0
+        view = self._aimed = viewpoint(drawn.cloud, camera.aspect, uncovered)
+        with self.client.atomic():
+            camera.up_direction = view.up
+            camera.position = drawn.factor * view.position
+            camera.look_at = drawn.factor * view.target
+            camera.fov = FIELD_OF_VIEW_RAD
+        self._arrange(drawn, WindowView.towards(view, FIELD_OF_VIEW_RAD, camera.image_width, camera.image_height))
+
+    def _arrange(self, drawn: Drawn, view: WindowView) -> None:
+        for handle, anchor in zip(self._labels, arranged(drawn.labels, view), strict=True):
+            if anchor is not None and handle.anchor != anchor:
+                handle.anchor = anchor
+            if handle.visible != (anchor is not None):
+                handle.visible = anchor is not None
+        for name, frame in self._walls.items():
+            behind = not drawn.walls[name].is_before(view.position)
+            if frame.visible != behind:
+                frame.visible = behind
+        text = scale_bar_html(self.scale_of(view))
+        if self._scale.content != text:
+            self._scale.content = text
+
+    def _remove(self) -> None:
+        for handle in (*self._labels, *self._walls.values()):
+            handle.remove()
+        self._labels, self._walls = [], {}
+        self._drawn = self._aimed = None
+        self._scale.content = ""
