@@ -85,7 +85,9 @@ def _rows(schema: Schema, section: Schema, key: str) -> Iterator[str]:
     for name, field in section["properties"].items():
         options = list(_sections(schema, field))
         inner += [(f"{key}.{name}", option) for option in options]
-        if not options and "const" not in field and _options(field):
+        if field.get("type") == "array" and options:
+            yield _line(f"`{key}.{name}`", f"list of up to {field['maxItems']}", field["description"])
+        elif not options and "const" not in field and _options(field):
             yield _row(field, f"{key}.{name}")
     for name, option in inner:
         yield _line(f"`{name}:`", "", f"**{option['description']}**")
@@ -104,8 +106,9 @@ def _line(*cells: str) -> str:
 def _sections(schema: Schema, field: Schema) -> Iterator[Schema]:
     """The sections that a field may be: more than one of a rig."""
     for option in _options(field):
-        if "$ref" in option:
-            yield schema["$defs"][option["$ref"].rpartition("/")[2]]
+        reference = option.get("$ref") or option.get("items", {}).get("$ref")
+        if reference:
+            yield schema["$defs"][reference.rpartition("/")[2]]
 
 
 def _options(field: Schema) -> list[Schema]:

@@ -26,6 +26,7 @@ from scanner.viewing import add_address
 
 NAMED: dict[str, Command] = {}
 
+_USUAL_DEVIATIONS = 3.0  # of scan clean --outliers
 _LONGEST_WATCH_S = 3600.0
 _INSTEAD = "known calibration of the rig, used instead of calibrating"
 
@@ -178,6 +179,46 @@ def of_check(parser: ArgumentParser) -> None:
         help="seconds to look for drift, as in 60 (default: the duration of the other checks)",
     )
     add_out(parser, "folder to make, for check.yaml and pictures", default="nothing is kept")
+    add_quiet(parser)
+
+
+class _Step(Action):
+    """Of an option that is a step: the steps are in the order of the command line."""
+
+    def __call__(self, _: ArgumentParser, namespace: Namespace, values: object, __: object = None) -> None:
+        name = str(self.option_strings[0]).removeprefix("--")
+        namespace.steps = [*(namespace.steps or ()), (name, True if values == [] else values)]
+
+
+@_command(
+    "Do named steps to a result's cloud: a region of interest, cleaning, fewer triangles, other axes.",
+    """
+The steps are done in the order given, after those that the result has, and are written into it as steps.yaml. Exports
+and views show what they leave; the cloud in the result stays as it was measured, and --undo takes the last one back.
+Without a step, those of the result are listed. Lengths may have a unit, as in 5cm; without one, they are in the
+result's. A value that begins with a minus sign is given as --box=-0.5m,…
+""",
+)
+def of_clean(parser: ArgumentParser) -> None:
+    add_result(parser)
+    steps = {"action": _Step, "dest": "steps"}
+    what = "keep what is between two corners, along the cloud's axes"
+    parser.add_argument("--box", metavar="X0,Y0,Z0,X1,Y1,Z1", help=what, **steps)  # type: ignore[arg-type]
+    what = "drop points whose distance from their neighbours is N standard deviations above the mean (default: 3)"
+    parser.add_argument("--outliers", nargs="?", type=float, const=_USUAL_DEVIATIONS, metavar="N", help=what, **steps)  # type: ignore[arg-type]
+    what = "drop pieces of the cloud that are smaller, as in 5cm"
+    parser.add_argument("--pieces", metavar="SIZE", help=what, **steps)  # type: ignore[arg-type]
+    what = "move each point along its normal, as far as its standard deviation allows: of one capture"
+    parser.add_argument("--smooth", nargs=0, help=what, **steps)  # type: ignore[arg-type]
+    what = "close holes of the mesh up to a size, as in 2cm"
+    parser.add_argument("--fill", metavar="SIZE", help=what, **steps)  # type: ignore[arg-type]
+    what = "reduce the mesh to N triangles"
+    parser.add_argument("--triangles", type=int, metavar="N", help=what, **steps)  # type: ignore[arg-type]
+    what = "origin on the floor below the newest camera, z up, x to the camera's right"
+    parser.add_argument("--floor", nargs=0, help=what, **steps)  # type: ignore[arg-type]
+    what = "origin, a point on the x axis, and one beside it on the side of y: nine lengths"
+    parser.add_argument("--axes", metavar="X,Y,Z,…", help=what, **steps)  # type: ignore[arg-type]
+    add_flag(parser, "--undo", "take the last step back")
     add_quiet(parser)
 
 

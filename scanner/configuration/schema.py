@@ -13,6 +13,7 @@ from calib.geometry import Size
 from calib.self_calibration import PrincipalPoint
 from hw.backends import RigSettings
 from hw.settings import CameraRigSettings, Settings, without_passwords
+from scanner.configuration.cloud_steps import CloudSettings
 from scanner.configuration.sections import (
     CameraSettings,
     CornerSettings,
@@ -49,6 +50,7 @@ class Config(Settings):
     corner: CornerSettings = Field(default=CornerSettings(), description="What is known of the corner.")
     lens: LensSettings = Field(default=LensSettings(), description="What is known of both lenses.")
     scale: ScaleSettings | None = Field(default=None, description="A known length.")
+    cloud: CloudSettings = Field(default=CloudSettings(), description="What is done to the cloud afterwards.")
     rigs: NetworkSettings | None = Field(
         default=None, description="The devices of a network, of which rig is one pair."
     )

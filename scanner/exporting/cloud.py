@@ -1,30 +1,32 @@
-"""The cloud as binary PLY, unchanged, or as PCD of the Point Cloud Library: the same points, frame and unit."""
+"""The cloud as binary PLY, unchanged if there are no steps, or as PCD of the Point Cloud Library."""
 
 from pathlib import Path
 
 import numpy as np
 
+from scanner.cleaning import CleanedCloud, read_cleaned
 from scanner.exporting.formats import ExportRequest
-from scanner.io import CloudPoints, copy_given, new_file, read_cloud
+from scanner.io import copy_given, new_file, write_room_ply
 from scanner.quantities import unit_name
-from scanner.results import read_finished_result
 
 _PCD_FIELDS = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "rgb")
 
 
 def export(request: ExportRequest) -> list[str]:
     """Write the cloud, by the name's ending. Raises InputError and OSError."""
-    result = read_finished_result(request.result, request.capture)
-    cloud = read_cloud(result.cloud)
+    result = read_cleaned(request.result, request.capture)
+    cloud = result.cloud()
     with new_file(request.out, overwrite=request.overwrite) as path:
         if request.out.suffix.lower() == ".pcd":
             write_pcd(path, cloud, result.unit)
+        elif result.steps:
+            write_room_ply(path, cloud, cloud.frame, match=cloud.match)
         else:
-            copy_given(result.cloud, path)
+            copy_given(result.whole.cloud, path)
     return [f"{len(cloud):,} points{result.of_how_many} in {unit_name(result.unit)}"]
 
 
-def write_pcd(path: Path, cloud: CloudPoints, unit: str) -> None:
+def write_pcd(path: Path, cloud: CleanedCloud, unit: str) -> None:
     """PCD 0.7, binary; a colour is one number, 0x00RRGGBB. Raises OSError."""
     count, fields = len(cloud), len(_PCD_FIELDS)
     rows = np.empty(count, [("floats", "<f4", fields - 1), ("rgb", "<u4")])

@@ -14,10 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats, Ints
+from scanner.cleaning import read_cleaned
 from scanner.exporting.formats import ExportRequest
 from scanner.io import new_files, refuse_existing
 from scanner.quantities import unit_name
-from scanner.results import FinishedScan, read_finished_result
+from scanner.results import FinishedScan
 
 COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 CAMERA_ID, PROJECTOR_ID = 1, 2
@@ -45,7 +46,7 @@ class _Chosen:
 
 def export(request: ExportRequest) -> list[str]:
     """Write the model. Raises InputError and OSError."""
-    result = read_finished_result(request.result, request.capture)
+    result = read_cleaned(request.result, request.capture)
     scans = [(station.scan, station.place) for station in result.stations_before_camera]
     model = write_colmap(request.out, scans, most_points=request.most_points, overwrite=request.overwrite)
     chosen = "all of them" if model.step == 1 else f"one for each {model.step} × {model.step} camera pixels"

@@ -16,11 +16,12 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Floats
 from hw.optional_parts import E57
+from scanner.cleaning import read_cleaned
 from scanner.errors import InputError
 from scanner.exporting.formats import ExportRequest
 from scanner.exporting.units import in_metres, noted
 from scanner.io import new_file
-from scanner.results import FinishedScan, PlacedScan, read_finished_result
+from scanner.results import FinishedScan, PlacedScan
 
 _Z_UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
@@ -28,8 +29,8 @@ _Z_UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]
 def export(request: ExportRequest) -> list[str]:
     """Write the cloud. Raises InputError and OSError."""
     refuse_without_pye57()
-    result = read_finished_result(request.result, request.capture)
-    upright = IDENTITY if result.is_joined else Pose(_Z_UP_FROM_CAMERA, np.zeros(3))
+    result = read_cleaned(request.result, request.capture)
+    upright = IDENTITY if result.is_upright else Pose(_Z_UP_FROM_CAMERA, np.zeros(3))
     metres, findings = in_metres(result.unit)
     with new_file(request.out, overwrite=request.overwrite) as path:
         scans = [replace(scan, place=upright @ scan.place) for scan in result.stations_before_camera]

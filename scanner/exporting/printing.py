@@ -3,7 +3,6 @@
 Of rooms and things these are the triangles of the result, joined where its pieces, one for each picture, meet.
 """
 
-import json
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,17 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from calib.numerics import Floats, Ints, slices_of
-from scanner.errors import InputError
+from scanner.cleaning import read_cleaned
 from scanner.exporting.formats import ExportRequest
-from scanner.exporting.triangles import Y_UP_FROM_CAMERA, build_joint_mesh
+from scanner.exporting.result_mesh import mesh_of_result
+from scanner.exporting.triangles import Y_UP_FROM_CAMERA
 from scanner.exporting.units import in_metres, noted
-from scanner.io import new_file, read_whole
-from scanner.results import read_finished_result
+from scanner.io import new_file
 
 _MM = 1000.0
 _AT_ONCE = 50_000  # triangles, or points, in memory as they are written
 _LONGEST_VERTEX, _LONGEST_TRIANGLE = 80, 60  # bytes of a 3MF's model
-_HEADER, _CHUNK = 12, 8  # bytes of a GLB
 _MODEL = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 _TYPES = (
     '<?xml version="1.0" encoding="UTF-8"?><Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
@@ -38,13 +36,10 @@ _RELATIONS = (
 
 def export(request: ExportRequest) -> list[str]:
     """Write the triangles. Raises InputError and OSError."""
-    result = read_finished_result(request.result, request.capture)
+    result = read_cleaned(request.result, request.capture)
     metres, findings = in_metres(result.unit)
-    if result.mesh is not None:
-        points, triangles = read_triangles(result.mesh)
-    else:
-        mesh = build_joint_mesh(result.stations_before_camera)
-        points, triangles = metres * mesh.points * Y_UP_FROM_CAMERA, mesh.triangles
+    mesh = mesh_of_result(result)
+    points, triangles = metres * mesh.points * Y_UP_FROM_CAMERA, mesh.triangles
     points = _MM * points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]  # y up to z up
     with new_file(request.out, overwrite=request.overwrite) as path:
         if path.suffix.lower() == ".stl":
@@ -52,34 +47,6 @@ def export(request: ExportRequest) -> list[str]:
         else:
             write_3mf(path, points, triangles)
     return [f"{len(triangles):,} triangles{result.of_how_many}, in millimetres", *noted(findings)]
-
-
-def read_triangles(path: Path) -> tuple[Floats, Ints]:
-    """Points (N, 3) and triangles (T, 3) of a GLB as this program writes them. Raises InputError for any other."""
-    data = read_whole(path)
-    try:
-        length = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
-        document = json.loads(data[_HEADER + _CHUNK : _HEADER + _CHUNK + length])
-        binary = data[_HEADER + 2 * _CHUNK + length :]
-        parts, corners, count = [], [], 0
-        for piece in document["meshes"][0]["primitives"]:
-            points, indices = (
-                _array(document, binary, piece["attributes"]["POSITION"], "<f4"),
-                _array(document, binary, piece["indices"], "<u4"),
-            )
-            parts.append(points.reshape(-1, 3))
-            corners.append(indices.astype(np.int64).reshape(-1, 3) + count)
-            count += len(parts[-1])
-        points, same = np.unique(np.concatenate(parts), axis=0, return_inverse=True)
-        triangles = same.reshape(-1)[np.concatenate(corners)].astype(np.int64)
-    except (ValueError, KeyError, IndexError, TypeError) as error:
-        raise InputError(f"{path}: expected a mesh as this program writes it, found a damaged file") from error
-    return points.astype(np.float64), triangles
-
-
-def _array(document: dict, binary: bytes, number: int, kind: str) -> np.ndarray:  # type: ignore[type-arg]
-    view = document["bufferViews"][document["accessors"][number]["bufferView"]]
-    return np.frombuffer(binary, kind, view["byteLength"] // 4, view["byteOffset"])
 
 
 def write_stl(path: Path, points: Floats, triangles: Ints) -> None:

@@ -36,7 +36,7 @@ from scanner.io.matches_file import (
     refuse_one_axis,
     write_matches,
 )
-from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply, write_room_ply
+from scanner.io.ply import CloudPoints, read_cloud, read_frame, write_merged_ply, write_ply, write_room_ply
 from scanner.io.png import PngFile, PngRows, png_of, write_png
 from scanner.io.room_file import (
     StoredDevice,

@@ -95,9 +95,17 @@ def write_merged_ply(path: Path, cloud: PointCloud) -> None:
     _write(path, cloud, _CORNER_FRAME, None, None)
 
 
-def write_room_ply(path: Path, cloud: PointCloud, frame: str = _ROOM_FRAME) -> None:
+def write_room_ply(path: Path, cloud: PointCloud, frame: str = _ROOM_FRAME, *, match: Ints | None = None) -> None:
     """The same for a cloud of a whole room, in the room's frame or the one that is described. Raises OSError."""
-    _write(path, cloud, frame, None, None)
+    _write(path, cloud, frame, match, None)
+
+
+def read_frame(path: Path) -> str:
+    """How a cloud describes its frame; '' where it does not. Raises InputError if it is missing."""
+    with opened(path) as file:
+        lines = file.read(_LONGEST_HEADER).partition(_END)[0].decode("ascii", errors="replace").splitlines()
+    described = [line.removeprefix("comment ") for line in lines if line.startswith("comment ") and " frame: " in line]
+    return described[0] if described else ""
 
 
 def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triangles: Ints | None) -> None:

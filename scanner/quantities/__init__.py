@@ -19,6 +19,7 @@ from scanner.quantities.units import (
     ShownUnit,
     fine_unit,
     metres_per,
+    parse_coordinates,
     parse_length,
     parse_seconds,
     shown_unit,

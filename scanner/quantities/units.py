@@ -67,6 +67,24 @@ def parse_length(text: str, unit: str) -> float:
     return number * METRES[given] / metres_per(unit)
 
 
+def parse_coordinates(text: str, unit: str, count: int) -> tuple[float, ...]:
+    """'-0.5m,0,20cm' → `count` numbers in `unit`. Raises InputError for anything else."""
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != count:
+        raise InputError(f"expected {count} lengths with commas between them, found {shown(text)}")
+    return tuple(_parse_coordinate(part, unit) for part in parts)
+
+
+def _parse_coordinate(text: str, unit: str) -> float:
+    """A length of either sign, or 0, with or without a unit."""
+    size = text.removeprefix("-")
+    zero = _LENGTH.fullmatch(size)
+    if zero is not None and float(zero[1]) == 0:
+        return 0.0
+    length = parse_length(size, unit)
+    return -length if text.startswith("-") else length
+
+
 def parse_seconds(option: str, text: str) -> float:
     """'0.2s', or a number → seconds. Raises InputError that names the `option`."""
     try:

@@ -1,7 +1,9 @@
 """A result: its folder, its verdict, its metadata."""
 
+from scanner.results.cloud_steps import read_steps, write_steps
 from scanner.results.finished_result import (
     FinishedResult,
+    KeptPoints,
     PlacedScan,
     capture_folders,
     read_finished_result,
@@ -30,6 +32,7 @@ from scanner.results.names import (
     ROOM_CLOUD_FILE,
     ROOM_FILE,
     ROOM_MESH_FILE,
+    STEPS_FILE,
     TRUTH_FILE,
     default_out,
     folder_of,

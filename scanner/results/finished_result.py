@@ -4,13 +4,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib.geometry import IDENTITY, Pose
+from calib.numerics import Floats, Ints
 from scanner.errors import InputError
-from scanner.io import read_poses, read_room
+from scanner.io import read_network, read_poses, read_room
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
 from scanner.results.names import (
     CAPTURES_FOLDER,
     CLOUD_FILE,
     MERGED_FILE,
+    NETWORK_CLOUD_FILE,
+    NETWORK_FILE,
     OBJECT_CLOUD_FILE,
     OBJECT_FILE,
     OBJECT_MESH_FILE,
@@ -24,6 +27,16 @@ _JOINED = {ROOM_FILE: (ROOM_CLOUD_FILE, ROOM_MESH_FILE), OBJECT_FILE: (OBJECT_CL
 
 
 @dataclass(frozen=True, eq=False)
+class KeptPoints:
+    """What steps leave of a scan."""
+
+    number: Ints
+    """Of the scan's points, (K,)."""
+    points: Floats | None
+    """Where they are now, (K, 3) in the camera's frame; None where they were."""
+
+
+@dataclass(frozen=True, eq=False)
 class PlacedScan:
     """The scan of a capture or a station with its pose."""
 
@@ -31,11 +44,17 @@ class PlacedScan:
     folder: Path
     place: Pose
     """X_result = R X_camera + t."""
+    kept: KeptPoints | None = None
+    """None for all points."""
 
     @property
     def scan(self) -> FinishedScan:
         """Read each time: a room's are large together. Raises InputError if a file is missing or damaged."""
-        return read_finished_scan(self.folder)
+        scan = read_finished_scan(self.folder)
+        if self.kept is None:
+            return scan
+        part = scan[self.kept.number]
+        return part if self.kept.points is None else replace(part, points=self.kept.points)
 
 
 @dataclass(frozen=True)
@@ -45,7 +64,7 @@ class FinishedResult:
     unit: str
     """Of all lengths."""
     stations: tuple[PlacedScan, ...]
-    """In the order of their numbers, from 1."""
+    """In the order of their numbers, from 1; none of a network."""
     cloud: Path
     """The file of the cloud of all of them."""
     mesh: Path | None = None
@@ -102,6 +121,9 @@ def read_finished_result(folder: Path, capture: int | None = None) -> FinishedRe
         raise InputError(f"{folder}: has {count} captures: expected --capture 1 to {count}, found {capture}")
     if joined is not None and capture is None:
         return joined
+    if joined is None and (folder / NETWORK_FILE).is_file():
+        unit = read_network(folder / NETWORK_FILE).unit
+        return FinishedResult(unit, (), folder / NETWORK_CLOUD_FILE, listing=folder / NETWORK_FILE)
     unit = read_calibration_of(folder).unit
     if capture is not None or count == 1:
         number = capture or 1

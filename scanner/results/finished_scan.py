@@ -1,6 +1,6 @@
 """A result folder read back: the calibration, and the cloud with the camera pixel and the match of every point."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +40,17 @@ class FinishedScan:
     def unit(self) -> str:
         """The unit of `points`; 'baseline' if no length is known."""
         return self.calibration.unit
+
+    def __getitem__(self, chosen: Ints) -> "FinishedScan":
+        """The points of these numbers (K,), with everything that belongs to them."""
+        return replace(
+            self,
+            matches=self.matches[chosen],
+            points=self.points[chosen],
+            normals=self.normals[chosen],
+            colours=self.colours[chosen],
+            pixel=self.pixel[chosen],
+        )
 
 
 def read_calibration_of(folder: Path) -> Calibration:

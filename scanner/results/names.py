@@ -27,7 +27,10 @@ NETWORK_CLOUD_FILE = "network.ply"
 PLAN_FILE = "floorplan.svg"
 PLAN_DXF_FILE = "floorplan.dxf"
 DENSE_FILE = "dense.ply"
+STEPS_FILE = "steps.yaml"
 LOG_FILE = "scan.log"
+
+CLOUD_FILES = (CLOUD_FILE, ROOM_CLOUD_FILE, OBJECT_CLOUD_FILE, NETWORK_CLOUD_FILE)
 
 _OURS = {
     CALIBRATION_FILE,
@@ -46,6 +49,7 @@ _OURS = {
     PLAN_FILE,
     PLAN_DXF_FILE,
     DENSE_FILE,
+    STEPS_FILE,
     REPORT_FILE,
     REFUSAL_FILE,
     CAPTURE_FOLDER,

@@ -15,10 +15,12 @@ from scanner.configuration import Config
 from scanner.errors import InputError, StorageError, cannot_write, is_of_the_disk
 from scanner.interruption import finishing
 from scanner.io import MATCHES_FILE, missing_folders, remove_empty, sync_tree
+from scanner.results.cloud_steps import write_steps
 from scanner.results.leftovers import frames_in, keep_recording, kept_text, settle
 from scanner.results.names import (
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
+    CLOUD_FILES,
     LOG_FILE,
     OBJECT_FILE,
     ROOM_FILE,
@@ -51,6 +53,8 @@ def new_result(
             log.info(sentence)
         log.info("scan %s with the configuration %s", version("roomscan"), config.as_json())
         yield output.folder
+        if any((output.folder / name).is_file() for name in CLOUD_FILES):
+            write_steps(output.folder, config.cloud.all_steps)
 
 
 class OutputFolder:

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from calib.geometry import Calibration
+from scanner.cleaning import read_cleaned
 from scanner.errors import InputError
-from scanner.io import StoredDevice, read_cloud, read_network
+from scanner.io import StoredDevice, read_network
 from scanner.results import CAPTURES_FOLDER, NETWORK_CLOUD_FILE, NETWORK_FILE
 from scanner.viewing.result import PlacedRig, ViewedCloud
 from scanner.viewing.white_picture import read_white_picture
@@ -14,7 +15,7 @@ from scanner.viewing.white_picture import read_white_picture
 
 def network_cloud(folder: Path) -> ViewedCloud:
     """Read it, in the frame of the first device. Raises InputError if a file is missing or damaged."""
-    cloud, network = read_cloud(folder / NETWORK_CLOUD_FILE), read_network(folder / NETWORK_FILE)
+    cloud, network = read_cleaned(folder, own_axes=True).cloud(), read_network(folder / NETWORK_FILE)
     if not len(cloud):
         raise InputError(f"{folder / NETWORK_CLOUD_FILE}: the cloud is empty")
     cameras, projectors = (

@@ -1,6 +1,6 @@
 """A result folder as something to look at: its clouds, each with the rigs that saw it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Literal
@@ -12,8 +12,9 @@ from calib.diagnostics import Uncertainty
 from calib.geometry import IDENTITY, Calibration, Matches, Pose
 from calib.numerics import Floats
 from calib.pointcloud import point_covariances
+from scanner.cleaning import CleanedCloud, read_cleaned
 from scanner.errors import InputError
-from scanner.io import CloudPoints, read_calibration, read_cloud
+from scanner.io import read_calibration
 from scanner.measuring import MeasuredScene, PlacedPoints, PointNumber, read_scene, rig_errors
 from scanner.quantities import FACE_NAMES, device_names
 from scanner.rendering import photograph
@@ -31,6 +32,7 @@ from scanner.results import (
     read_finished_result,
     read_finished_scan,
     read_joined,
+    read_steps,
     read_uncertainty,
     read_verdict,
 )
@@ -158,6 +160,7 @@ class ViewedResult:
         self.folder = folder
         self.calibration = read_calibration_of(folder)
         self._room = read_joined(folder)
+        self.steps = read_steps(folder)
         truth = folder / TRUTH_FILE
         self.truth = read_calibration(truth) if truth.is_file() else None
         self.names = self._names()
@@ -196,11 +199,12 @@ class ViewedResult:
         if name in (WHOLE_ROOM, WHOLE_THING) and self._room is not None:
             return self._whole(self._room)
         folder = self._captures[name]
-        scan = read_finished_scan(folder)
+        measured = read_finished_scan(folder)
+        alone = self._cleaned(PlacedScan(name, folder, IDENTITY))
+        scan = measured if alone.kept is None else alone.scan
         # The stations of a room do not repeat how uncertain their common calibration is.
         scene = read_scene(self.folder if self._room else folder, scan.calibration, folder)
-        corner = measured_corner(scan, scene)
-        alone = PlacedScan(name, folder, IDENTITY)
+        corner = measured_corner(measured, scene)
         return CaptureCloud(
             scan.points,
             scan.normals,
@@ -215,8 +219,17 @@ class ViewedResult:
             scans=PlacedPoints(scan.unit, (alone,), scene.errors, None),
         )
 
+    def _cleaned(self, capture: PlacedScan) -> PlacedScan:
+        """What the steps of the result leave of a capture, in its camera's frame."""
+        if not self.steps:
+            return capture
+        joined = [] if self._room is None else [station.folder for station in self._room.stations]
+        number = 1 + (joined or capture_folders(self.folder)).index(capture.folder)
+        (station,) = read_cleaned(self.folder, number, self.steps, own_axes=True).stations
+        return replace(capture, kept=station.kept)
+
     def _whole(self, room: FinishedResult) -> ViewedCloud:
-        cloud, rigs = _whole_cloud(room), self._rigs(room)
+        cloud, rigs = self._whole_cloud(), self._rigs(room)
         up = np.array([0.0, 0.0, 1.0])
         errors = rig_errors(self.calibration, read_uncertainty(self.folder / CALIBRATION_FILE, self.calibration))
         scans = PlacedPoints.of(room, errors)
@@ -239,12 +252,19 @@ class ViewedResult:
         newest = result.stations[-1].scan
         scene = read_scene(self.folder, newest.calibration)
         corner = measured_corner(newest, scene)
-        cloud = _whole_cloud(result)
+        cloud = self._whole_cloud()
         up = np.array([0.0, 0.0, 1.0 if np.median(cloud.points[:, 2]) >= 0 else -1.0])
         scans = PlacedPoints.of(result, scene.errors)
         return ViewedCloud(
             cloud.points, cloud.normals, cloud.colours, rigs, corner, up, result.unit, "corner", scans=scans
         )
+
+    def _whole_cloud(self) -> CleanedCloud:
+        cleaned = read_cleaned(self.folder, steps=self.steps, own_axes=True)
+        cloud = cleaned.cloud()
+        if not len(cloud):
+            raise InputError(f"{cleaned.whole.cloud}: the cloud is empty")
+        return cloud
 
     @staticmethod
     def _rigs(result: FinishedResult) -> tuple[PlacedRig, ...]:
@@ -253,13 +273,6 @@ class ViewedResult:
         return tuple(
             PlacedRig(scan.calibration, station.place, _picture(station.folder, scan)) for station, scan in placed
         )
-
-
-def _whole_cloud(result: FinishedResult) -> CloudPoints:
-    cloud = read_cloud(result.cloud)
-    if not len(cloud):
-        raise InputError(f"{result.cloud}: the cloud is empty")
-    return cloud
 
 
 def _up(corner: MeasuredCorner | None) -> Floats:

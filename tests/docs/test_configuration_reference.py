@@ -56,7 +56,7 @@ def test_a_misspelt_key_at_any_depth_names_the_right_one(tmp_path: Path, backend
                 continue
             data: Any = {spelling: 1}
             for section in reversed(sections):
-                data = {section: data}
+                data = {section: [data] if section == "steps" else data}
             if sections[:1] == ["rig"]:
                 data["rig"]["backend"] = backend
             path.write_text(yaml.safe_dump(data))
