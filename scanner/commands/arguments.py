@@ -18,6 +18,7 @@ from scanner.commands.shared_arguments import (
     add_overwrite,
     add_paths,
     add_quiet,
+    add_require,
     add_result,
     add_text,
 )
@@ -120,6 +121,7 @@ def of_batch(parser: ArgumentParser) -> None:
     add_text(parser, "--memory", "SIZE", "memory of each process, as in 4GB (default: an equal share)")
     add_text(parser, "--scheduler", "ADDRESS", "a running Dask scheduler, as in tcp://10.0.0.1:8786")
     add_flag(parser, "--retry", "retry captures that crashed in an earlier run")
+    add_require(parser, "a capture, whose result is kept, has a lower grade or none")
     add_quiet(parser)
 
 
@@ -164,8 +166,8 @@ Each line says what was found and, after an arrow, what to do. --write puts the 
 projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
 these lines change, and the original file is kept as FILE.bak.
 
-Exit codes: 0 if a scan would work, even if poorly; 3 if a device fails; 4 if a scan of this view would be refused. The
-results so far are always shown.
+Exit codes: 0 if a scan would work, even if poorly; 3 if a device fails; 4 if a scan of this view would be refused, or,
+with --require good, if anything could be better. The results so far are always shown.
 """,
 )
 def of_check(parser: ArgumentParser) -> None:
@@ -179,6 +181,7 @@ def of_check(parser: ArgumentParser) -> None:
         help="seconds to look for drift, as in 60 (default: the duration of the other checks)",
     )
     add_out(parser, "folder to make, for check.yaml and pictures", default="nothing is kept")
+    add_require(parser, "anything could be better (good)")
     add_quiet(parser)
 
 

@@ -5,7 +5,8 @@ from argparse import Namespace
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from scanner.errors import InputError
+from scanner.commands.shared_arguments import is_enough
+from scanner.errors import GradeError, InputError
 from scanner.shown_text import harmless, shown
 from scanner.ui import Terminal
 
@@ -15,10 +16,11 @@ if TYPE_CHECKING:
 _SIZE = re.compile(r"(\d{1,6}(?:\.\d{1,3})?) ?([MGT])(i?)B?", re.ASCII | re.IGNORECASE)
 # With less, a process would be ended by the smallest capture.
 _LEAST_BYTES = 400_000_000
+_NAMED = 5  # captures that a message names
 
 
 def run(args: Namespace) -> None:
-    """Do the work. Raises InputError."""
+    """Do the work. Raises InputError, GradeError."""
     from scanner.batch import Batch, BatchRequest, Processes, dask_workers, list_jobs, refuse_without_dask, run_batch
 
     if args.scheduler:
@@ -56,6 +58,13 @@ def run(args: Namespace) -> None:
         f"Result: {args.out} ({', '.join(batch.files)})",
         f"→ Open {args.out.rstrip('/')}/{batch.files[0]} in a browser: a line for each capture, with its report.",
     )
+    lower = [row.name for row in batch.rows if not is_enough(row.grade, args.require)]
+    if lower:
+        some = f"{', '.join(lower[:_NAMED])}{' …' if len(lower) > _NAMED else ''}"
+        raise GradeError(
+            f"{len(lower):,} of {len(batch.rows):,} captures are below {args.require}, which --require asks for: "
+            f"{shown(some)}; all results are kept"
+        )
 
 
 def _bytes(size: str) -> float:

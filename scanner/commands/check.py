@@ -5,7 +5,9 @@ from argparse import Namespace
 from pathlib import Path
 
 from scanner.checking import CheckReport, CheckState, check_configured_rig, table_of, write_check
+from scanner.commands.shared_arguments import is_enough
 from scanner.configuration import load_config, set_keys
+from scanner.errors import GradeError
 from scanner.results import refuse_occupied
 from scanner.ui import Terminal, keep_off_the_terminal
 
@@ -14,7 +16,7 @@ _EXPOSURE_DIGITS, _LIGHT_DIGITS = 1, 5
 
 
 def run(args: Namespace) -> None:
-    """Do the work. Raises InputError, DeviceError, RefusalError."""
+    """Do the work. Raises InputError, DeviceError, RefusalError, GradeError."""
     config = load_config(args.config, args.set)
     terminal = Terminal(quiet=args.quiet)
     keep_off_the_terminal()
@@ -31,6 +33,9 @@ def run(args: Namespace) -> None:
     if report.failure:
         raise report.failure
     poor = sum(row.state is CheckState.POOR for row in report.rows)
+    if not is_enough("fair" if poor else "good", args.require):
+        things = "1 thing" if poor == 1 else f"{poor} things"
+        raise GradeError(f"{things} could be better, and --require {args.require} asks for none; the table names them")
     better = f"{poor} {'thing' if poor == 1 else 'things'} could be better; to scan anyway: " if poor else ""
     terminal.show(f"→ {better}scan --config {args.config}")
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from scanner.commands.shared_arguments import REQUIRED_GRADES
+from scanner.commands.shared_arguments import is_enough
 from scanner.errors import GradeError
 from scanner.quantities import calibration_table, truth_line
 from scanner.results import (
@@ -50,5 +50,5 @@ def conclude(
     """
     reasons = (f"  {reason}" for reason in verdict.reasons[:most])
     terminal.show(f"{verdict.sign} {verdict.headline}", *reasons, f"→ {verdict.advice or otherwise}")
-    if required is not None and verdict.grade not in REQUIRED_GRADES[: 1 + REQUIRED_GRADES.index(required)]:
+    if not is_enough(verdict.grade, required):
         raise GradeError(f"the result is {verdict.grade}, and --require {required} asks for better; it is kept")

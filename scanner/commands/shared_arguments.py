@@ -59,9 +59,18 @@ def add_new_result(parser: ArgumentParser, *, default: str | None = None, graded
     add_out(parser, default=default)
     add_overwrite(parser)
     if graded:
-        what = "exit code 4 if the result, which is kept, has a lower grade"
-        parser.add_argument("--require", choices=REQUIRED_GRADES, metavar="|".join(REQUIRED_GRADES), help=what)
+        add_require(parser, "the result, which is kept, has a lower grade")
     add_quiet(parser)
+
+
+def add_require(parser: ArgumentParser, otherwise: str) -> None:
+    what = f"exit code 4 if {otherwise}"
+    parser.add_argument("--require", choices=REQUIRED_GRADES, metavar="|".join(REQUIRED_GRADES), help=what)
+
+
+def is_enough(grade: str | None, required: str | None) -> bool:
+    """Whether a grade, None for none, is at least what is required, if anything is."""
+    return required is None or grade in REQUIRED_GRADES[: 1 + REQUIRED_GRADES.index(required)]
 
 
 def add_masks(parser: ArgumentParser) -> None:

@@ -88,6 +88,8 @@ def test_a_batch_from_the_command_line(done: Done, capsys: pytest.CaptureFixture
     before = {path: path.stat().st_mtime_ns for path in (out / "results").rglob("*")}
     assert main(done.command) == 0
     assert "4 captures (4 of them done before)" in capsys.readouterr().out
+    assert main([*done.command, "--require", "fair"]) == 4  # every row is there already
+    assert "2 of 4 captures are below fair" in capsys.readouterr().err
     assert before == {path: path.stat().st_mtime_ns for path in (out / "results").rglob("*")}
 
 

@@ -132,6 +132,29 @@ def test_exit_codes(
     assert (str(failure) in captured.err) if failure else (captured.err == "")
 
 
+@pytest.mark.parametrize(
+    ("severity", "required", "code"),
+    [
+        (Severity.WARNING, "good", 4),
+        (Severity.WARNING, "fair", 0),
+        (Severity.NOTE, "good", 0),
+    ],
+)
+def test_a_check_can_be_required_to_find_nothing_poor(
+    path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    severity: Severity,
+    required: str,
+    code: int,
+) -> None:
+    finding(monkeypatch, (CheckRow("focus", Finding(FOR_TESTS, severity, "blurred", "Focus.")),), None)
+    assert run("--config", path, "--require", required) == code
+    captured = capsys.readouterr()
+    assert "blurred" in captured.out
+    assert ("1 thing could be better" in captured.err) == (code == 4)
+
+
 def test_without_a_finding_nothing_is_written(
     path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
