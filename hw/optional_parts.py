@@ -59,6 +59,7 @@ def _from_here(path: Path) -> str:
 CONSOLE = OptionalPart("console")
 BATCH = OptionalPart("batch")
 E57 = OptionalPart("e57")
+LAS = OptionalPart("las")
 VIDEO = OptionalPart("video")
 RIG = OptionalPart(
     "rig",
@@ -66,4 +67,4 @@ RIG = OptionalPart(
     target="rig",
 )
 GPHOTO2 = OptionalPart("gphoto2")
-PARTS = (CONSOLE, BATCH, E57, GPHOTO2, VIDEO, RIG)
+PARTS = (CONSOLE, BATCH, E57, GPHOTO2, LAS, VIDEO, RIG)

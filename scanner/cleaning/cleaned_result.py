@@ -77,6 +77,11 @@ class CleanedResult:
         return self.axes is not None or self.whole.is_joined
 
     @property
+    def has_upright_cloud(self) -> bool:
+        """Whether z is up in the joint cloud: not in a camera's frame, as of one capture or a network."""
+        return self.axes is not None or (self.whole.listing is not None and bool(self.whole.stations))
+
+    @property
     def of_how_many(self) -> str:
         """' of 3 captures', ' of 6 stations', or '' for a single capture."""
         return self.whole.of_how_many

@@ -70,6 +70,13 @@ FORMATS: dict[str, Format] = {
         "e57",
         "CloudCompare and CAD programs read it.",
     ),
+    "las": Format(
+        "the cloud, z up and in metres, by the name's ending LAS or LAZ (needs laspy)",
+        ".laz",
+        (".laz", ".las"),
+        "las",
+        "CloudCompare, QGIS and PDAL read it.",
+    ),
     "stl": Format(
         "triangles in millimetres, z up, for printing",
         ".stl",
@@ -84,6 +91,9 @@ FORMATS: dict[str, Format] = {
         (".glb", ".ply", ".obj"),
         "mesh",
         "Blender and MeshLab read it.",
+    ),
+    "usd": Format(
+        "triangles as USD, y up and in metres", ".usda", (".usda",), "usd", "Blender, Houdini and Omniverse read it."
     ),
     "mapping": Format(
         "projectors as cameras, and maps for players: warp, blend, depth, position",

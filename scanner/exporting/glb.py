@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats
-from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh
+from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh, linear_light
 
 # Numbers of the glTF 2.0 specification.
 _MAGIC, _VERSION = 0x46546C67, 2
@@ -164,9 +164,7 @@ def _primitive(binary: _Binary, piece: Piece, material: int, metres_per_unit: fl
 
 def _linear_rgba(colours: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """sRGB (N, 3) of 8 bit → linear (N, 4) of 16 bit, opaque (IEC 61966-2-1). 16, or dark shades would merge."""
-    encoded = np.arange(256) / 255
-    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    table = np.rint(65535 * linear).astype("<u2")
+    table = np.rint(65535 * linear_light()).astype("<u2")
     return np.hstack([table[colours], np.full((len(colours), 1), 65535, "<u2")])
 
 

@@ -30,6 +30,13 @@ def open3d() -> Any:
 Y_UP_FROM_CAMERA = np.array([1.0, -1.0, -1.0])
 
 
+def linear_light() -> Floats:
+    """The light, up to 1, of each of the 256 values of sRGB (IEC 61966-2-1), (256,)."""
+    encoded = np.arange(256) / 255
+    linear: Floats = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    return linear
+
+
 @dataclass(frozen=True)
 class Mesh:
     """`points` and `normals` (N, 3) in the camera's frame and `unit`, `colours` (N, 3) RGB, `triangles` (T, 3).

@@ -59,6 +59,7 @@ ASKED: dict[str, list[tuple[tuple[str, ...], int, str]]] = {
         (("one", "--to", "mesh"), 0, "→ "),
         (("one", "--to", "e57"), 2, "E57 needs pye57, which is not installed; type: "),
     ],
+    "clean": [(("one", "--outliers"), 0, "→ "), (("one", "--undo"), 0, "→ ")],
     "measure": [(("one",), 0, "→ ")],
     "accept": [(("one", "--ball-bar", "50mm,50mm,200mm"), 2, "scale.baseline_m")],
     "view": [(("one",), 2, "needs viser, which is not installed; type: ")],
@@ -73,6 +74,7 @@ WITH_EXTRA = {
     "batch": (("batch", "one", "--config", "room.yaml", "--out", "table", "--workers", "1"), 0, "batch.parquet"),
     "console": (("view", "nothing"), 2, "nothing"),
     "e57": (("export", "one", "--to", "e57"), 0, "→ "),
+    "las": (("export", "one", "--to", "las"), 0, "→ "),
     "video": (("patterns", "--config", "room.yaml", "--out", "film", "--video", "film.mp4"), 0, "film.mp4"),
     "rig": (("devices",), None, ""),
 }

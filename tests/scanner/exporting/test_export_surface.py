@@ -1,5 +1,6 @@
 """`scan export` of points and triangles: PLY, E57, OBJ and GLB, read with the libraries of each."""
 
+import sys
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -214,3 +215,47 @@ def test_a_gap_is_not_bridged() -> None:
     left = few.pixel[image_triangles(few)][..., 0] < 25
     assert np.count_nonzero(left.all(axis=1)) > 100
     assert np.array_equal(left.all(axis=1), left.any(axis=1))
+
+
+@pytest.mark.parametrize(("name", "unit"), [("c.las", "m"), ("c.laz", "mm")])
+def test_las_is_z_up_in_metres(tmp_path: Path, name: str, unit: str) -> None:
+    laspy = pytest.importorskip("laspy", reason="laspy is not installed")
+    written = write_result(tmp_path / "room", unit=unit)
+    las = laspy.read(export(written.folder, "las", tmp_path / name))
+    assert str(las.header.version) == "1.4"
+    assert las.header.are_points_compressed == name.endswith("z")
+    expected = written.scan.points @ Z_UP.T * {"m": 1.0, "mm": 1e-3}[unit]
+    assert np.abs(las.xyz - expected).max() <= 0.51e-6
+    colours = np.stack([las.red, las.green, las.blue], axis=1)
+    assert np.array_equal(colours // 257, written.scan.colours)
+    assert np.array_equal(colours % 257, np.zeros_like(colours))
+
+
+def test_las_without_laspy_says_what_to_install(
+    written: Written, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "laspy", None)
+    assert main(["export", str(written.folder), "--to", "las", "--out", str(tmp_path / "c.las")]) == 2
+    assert "[las]" in capsys.readouterr().err
+    assert not (tmp_path / "c.las").exists()
+
+
+def test_usd_holds_the_same_surface(written: Written, mesh: Mesh, tmp_path: Path) -> None:
+    pxr = pytest.importorskip("pxr", reason="usd-core is not installed")
+    from pxr import Usd, UsdGeom
+
+    assert pxr is not None
+    stage = Usd.Stage.Open(str(export(written.folder, "usd", tmp_path / "m.usda")))
+    assert UsdGeom.GetStageUpAxis(stage) == "Y"
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1
+    read = UsdGeom.Mesh(stage.GetDefaultPrim())
+    points = np.array(read.GetPointsAttr().Get())
+    assert np.allclose(points, mesh.points @ Y_UP, rtol=1e-6, atol=1e-6)
+    assert np.array_equal(np.array(read.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3), mesh.triangles)
+    assert np.array_equal(np.array(read.GetFaceVertexCountsAttr().Get()), np.full(len(mesh.triangles), 3))
+    assert np.allclose(np.array(read.GetNormalsAttr().Get()), mesh.normals @ Y_UP, atol=1e-4)
+    linear = np.array(read.GetDisplayColorAttr().Get())
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    assert np.abs(255 * shown - mesh.colours).max() < 0.6
+    extent = np.array(read.GetExtentAttr().Get())
+    assert np.allclose(extent, [points.min(axis=0), points.max(axis=0)], atol=1e-6)
