@@ -278,6 +278,24 @@ def of_measure(parser: ArgumentParser) -> None:
 
 
 @_command(
+    "Cut the surface of a result by planes: contours with their lengths.",
+    """
+A plane is across an axis of the cloud, as in z=1.2m, or a normal and an offset, as in 0,0.6,0.8,1.2m. --every repeats
+it through the whole surface. A contour is drawn through the points within two of their sigmas.
+""",
+)
+def of_section(parser: ArgumentParser) -> None:
+    add_result(parser)
+    what = "plane to cut at, as in z=1.2m; may be given again"
+    parser.add_argument("--plane", action="append", default=[], metavar="PLANE", help=what)
+    add_text(parser, "--every", "INTERVAL", "repeat each plane at this interval, as in 10cm")
+    add_capture(parser)
+    add_out(parser, "folder for section.csv, section.svg and section.dxf", default="beside the result")
+    add_overwrite(parser, "section there")
+    add_quiet(parser)
+
+
+@_command(
     "Test the scanner with a calibrated ball bar, after VDI/VDE 2634 part 2.",
     """
 Probing, sphere-spacing and flatness errors. Scan the ball bar in several places, with the rig unchanged, and give all

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from scanner.exporting.glb import Piece as Piece
     from scanner.exporting.glb import write_glb as write_glb
     from scanner.exporting.glb import write_pieces as write_pieces
+    from scanner.exporting.result_mesh import mesh_in_axes as mesh_in_axes
     from scanner.exporting.result_mesh import mesh_of_result as mesh_of_result
     from scanner.exporting.triangles import Mesh as Mesh
     from scanner.exporting.triangles import mesh_of as mesh_of
@@ -27,7 +28,7 @@ __all__, __getattr__, __dir__ = defer_imports(
     {
         "formats": "DEFAULT_GAMMA DEFAULT_POINTS ExportRequest FORMATS",
         "glb": "Piece write_glb write_pieces",
-        "result_mesh": "mesh_of_result",
+        "result_mesh": "mesh_in_axes mesh_of_result",
         "triangles": "Mesh mesh_of open3d reconstruct_surface",
     },
 )

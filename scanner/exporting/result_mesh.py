@@ -57,6 +57,14 @@ def mesh_of_result(result: CleanedResult, *, coloured: bool = False) -> Mesh:
     return with_mesh_steps(mesh, result.steps)
 
 
+def mesh_in_axes(result: CleanedResult) -> Mesh:
+    """The same mesh in the axes of the result's cloud, or of its steps. Raises InputError."""
+    mesh = mesh_of_result(result)
+    if result.is_upright:
+        return _moved(mesh, _LEVEL.inverse())
+    return mesh if len(result.whole.stations) < 2 else _moved(mesh, result.whole.stations[-1].place)
+
+
 def with_mesh_steps(mesh: Mesh, steps: Sequence[CloudStep]) -> Mesh:
     """The mesh after those of the steps that change one. Raises InputError."""
     for step in steps:

@@ -21,4 +21,11 @@ from scanner.measuring.measurements import (
 from scanner.measuring.placed_points import PlacedPoints, PointNumber
 from scanner.measuring.planes import measure_scene, one_in_each_cell, sample_cells
 from scanner.measuring.scene_errors import rig_errors
+from scanner.measuring.section_files import (
+    SECTION_FILES,
+    write_section_dxf,
+    write_section_svg,
+    write_section_table,
+)
+from scanner.measuring.sections import Contour, cut
 from scanner.measuring.table import angle_cells, shares_table, tables
