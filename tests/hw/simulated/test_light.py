@@ -147,6 +147,22 @@ def test_direct_light_falls_with_the_square_of_distance_and_the_cosine(distance:
     assert irradiance_on_axis(distance, turn) == pytest.approx(np.cos(turn) / along_axis**2)
 
 
+def test_every_face_has_fine_strips_along_both_of_its_creases(empty: EmptyRoom) -> None:
+    """Six centimetres wide, along all of the light; together they cover no place twice."""
+    for face in range(3):
+        wide, tall = (
+            next(chart for chart in empty.mesh.creases if chart.surface == face and is_tall == (np.ptp(chart.v) > 0.1))
+            for is_tall in (False, True)
+        )
+        assert sum(chart.surface == face for chart in empty.mesh.creases) == 2
+        assert (tall.u[0], tall.u[-1], tall.v[0]) == (0.0, 0.06, 0.0)
+        assert (wide.v[0], wide.v[-1], wide.u[0]) == (0.0, 0.06, 0.06)
+        assert 0.5 < tall.v[-1] <= SIZES[(face + 2) % 3]
+        assert 0.5 < wide.u[-1] <= SIZES[(face + 1) % 3]
+        for along in (tall.v, wide.u):
+            assert 0.002 < np.diff(along).min() <= np.diff(along).max() < 0.2
+
+
 def test_indirect_fringes_survive_near_a_crease_and_cancel_farther_away(empty: EmptyRoom) -> None:
     """Light of the other face keeps fringes of 16 pixels within a centimetre, and loses them beyond ten."""
     optics = empty.light.projector.optics

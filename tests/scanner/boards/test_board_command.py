@@ -45,6 +45,12 @@ def test_the_result_is_a_calibration_and_a_page(from_boards: FromBoards, tmp_pat
     assert read.sigma.projector == found.calibration.sigma.projector
     verdict = read_verdict(tmp_path / "calibration.yaml")
     assert verdict.grade in ("good", "fair")
+    sigmas = read.sigma.camera, read.sigma.projector
+    for number, device, sigma in zip(
+        re.findall(r"([\d.]+) %", verdict.reasons[0]), (read.camera, read.projector), sigmas, strict=True
+    ):
+        assert sigma.focal_px is not None
+        assert float(number) == pytest.approx(100 * sigma.focal_px[0] / device.focal_px[0], rel=0.06)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     for told in (
         f"{verdict.sign} {verdict.headline}",

@@ -63,6 +63,14 @@ def test_a_bump_is_measured_beside_changes_of_light(gains: np.ndarray | float) -
     assert 0.9 < found.variance(fit.of_frames) < 1.1
 
 
+def test_where_frames_tell_nothing_the_sum_with_what_was_removed_is_likely_nothing() -> None:
+    found = equations(MOTION)
+    nowhere = np.zeros((UNKNOWNS * len(FRAMES.times), 2))
+    known = np.array([0.3, -2.0])
+    np.testing.assert_allclose(found.along(nowhere, known).values, -known, rtol=1e-12)
+    np.testing.assert_array_equal(found.along(nowhere).values, [0.0, 0.0])
+
+
 def test_the_time_of_a_bump_explains_most() -> None:
     found = equations(MOTION)
     best = max(trajectories_of(FRAMES.times), key=lambda one: found.along(along(found, one)).gained)
