@@ -25,7 +25,7 @@ def test_a_focal_length_that_boards_leave_open_is_named_with_its_sigma(device: s
         RefusalError, match=f"hardly determine the {device}'s focal length: its sigma is 17 %"
     ) as caught:
         refuse_untrustworthy(found, [], _WIDE, (_SIZE, _SIZE))
-    assert 16.99 < caught.value.finding.data["sigma_percent"] < 17.01
+    assert caught.value.finding.data["sigma_percent"] == pytest.approx(17.0, abs=0.01)
 
 
 def test_what_is_wrong_with_how_boards_were_held_is_told_in_numbers() -> None:

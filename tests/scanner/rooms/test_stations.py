@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -130,6 +131,27 @@ def test_live_compares_with_as_many_stations_as_time_allows(pair_s: float, compa
     assert comparison.within_patience(24) == compared
     assert comparison.within_patience(2) == 2
     assert comparison.within_patience(1) == 1
+
+
+@pytest.mark.parametrize(("count", "pairs"), [(1, 1), (2, 1), (3, 3), (5, 10), (7, 3)])
+def test_live_takes_note_of_how_long_a_pair_takes(monkeypatch: pytest.MonkeyPatch, count: int, pairs: int) -> None:
+    """Twelve seconds for all of five stations: of seven, only three are compared then."""
+    now_s = [100.0]
+    monkeypatch.setattr(live.time, "monotonic", lambda: now_s[0])
+    chosen = list[int]()
+
+    def compare(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
+        chosen.append(len(captures))
+        now_s[0] += 12.0
+        return ["turned"]
+
+    comparison = live.StationComparison(4.0, compare=compare)
+    captures = cast(Sequence[Decoded], range(count))
+    if count == 7:
+        comparison.pair_s = 1.2
+    assert comparison.guidance(captures, cast(Calibration, None)) == ["turned"]
+    assert chosen == [3 if count == 7 else count]
+    assert comparison.pair_s == pytest.approx(12.0 / pairs)
 
 
 def test_live_reports_overlap_and_where_to_turn(
