@@ -9,7 +9,7 @@ from calib.geometry import Pose
 from calib.geometry.calibration import Calibration
 from calib.geometry.camera import Intrinsics
 from calib.geometry.matches import Matches
-from calib.geometry.triangulation import intersect, intersect_rays
+from calib.geometry.triangulation import depths_on_stripes, intersect, intersect_rays
 from calib.numerics import Floats
 from calib.synthetic import look_at
 
@@ -52,6 +52,33 @@ def test_exact_matches_give_back_their_points(lens: str, count: int) -> None:
     np.testing.assert_allclose(met.points, truth, atol=1e-8)
     np.testing.assert_allclose(met.foot_px, projector_px, atol=1e-6)
     assert np.abs(met.residual_px).max() < 1e-6
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("lens", LENSES)
+def test_one_coordinate_of_the_projector_gives_back_depths_and_their_derivatives(lens: str, axis: int) -> None:
+    calibration, truth = rig(lens), points(500)
+    camera_px, projector_px = seen(calibration, truth)
+    ideal = np.ascontiguousarray(calibration.camera.ideal(camera_px).T)
+    depth, per_px = depths_on_stripes(ideal, projector_px[:, axis], axis, calibration)
+    np.testing.assert_allclose(depth, truth[:, 2], rtol=1e-5)
+    step_px = 1e-3
+    beyond, before = (
+        depths_on_stripes(ideal, projector_px[:, axis] + by, axis, calibration)[0] for by in (step_px, -step_px)
+    )
+    steep = np.abs(per_px) < 1.0  # metres per pixel: of the others the depth is hardly told
+    assert np.count_nonzero(steep) > 450
+    np.testing.assert_allclose(((beyond - before) / (2 * step_px))[steep], per_px[steep], rtol=0.01)
+
+
+def test_a_stripe_of_light_behind_the_camera_is_met_nowhere() -> None:
+    calibration = rig("none")
+    ideal = np.array([[0.0], [0.0]])
+    column = seen(calibration, np.array([[0.0, 0.0, 3.0]]))[1][:, 0]
+    far_px = seen(calibration, np.array([[0.0, 0.0, 1e9]]))[1][:, 0]
+    beyond = far_px + np.sign(far_px - column)  # than what lies at infinity
+    assert np.isnan(depths_on_stripes(ideal, beyond, 0, calibration)[0]).all()
+    assert np.isfinite(depths_on_stripes(ideal, column, 0, calibration)[0]).all()
 
 
 @pytest.mark.parametrize("lens", LENSES)

@@ -112,3 +112,15 @@ def test_colour_and_depth_make_no_difference(before: list[np.ndarray]) -> None:
     colour = compare(np.dstack([grey] * 3), np.dstack([other] * 3))
     assert deep.moved_px == pytest.approx(colour.moved_px, abs=0.02)
     assert 0.35 < deep.moved_px < 0.65
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_the_scale_is_told_by_what_white_lights(channels: int) -> None:
+    """A wall straight on, one at a slant, and what only indirect light reaches, above much light of the room."""
+    image = np.full((300, 400), 60, np.uint8)
+    image[50:150, 100:300] = 200
+    image[150:250, 100:300] = 110
+    image[:50, 100:300] = 80
+    frame = image if channels == 1 else np.stack([image] * 3, axis=-1)
+    assert scale_of(frame, (100, 100)) == pytest.approx(2.0, rel=1e-3)
+    assert scale_of(frame, (400, 100)) == pytest.approx(1.0, rel=1e-3)

@@ -137,7 +137,7 @@ def test_live_compares_with_as_many_stations_as_time_allows(pair_s: float, compa
 def test_live_takes_note_of_how_long_a_pair_takes(monkeypatch: pytest.MonkeyPatch, count: int, pairs: int) -> None:
     """Twelve seconds for all of five stations: of seven, only three are compared then."""
     now_s = [100.0]
-    monkeypatch.setattr(live.time, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr("scanner.rooms.live.time.monotonic", lambda: now_s[0])
     chosen = list[int]()
 
     def compare(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
