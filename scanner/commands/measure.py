@@ -1,15 +1,19 @@
 """Measure in a result: balls, faces, distances."""
 
 from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
 
 from scanner.errors import InputError
 from scanner.io import new_files, refuse_existing
 from scanner.measuring import (
     FIGURE_FILE,
     MEASURE_FILE,
+    NetworkPoints,
     PixelPlace,
     PlacedPoints,
     measure,
+    measure_pixels,
     read_scene,
     shares_table,
     tables,
@@ -17,7 +21,7 @@ from scanner.measuring import (
     write_figure,
 )
 from scanner.quantities import parse_length
-from scanner.results import path_beside, read_finished_result
+from scanner.results import NETWORK_FILE, path_beside, read_finished_result
 from scanner.shown_text import shown
 from scanner.ui import Terminal
 
@@ -31,6 +35,9 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError, NoMeasurementError."""
     terminal = Terminal(quiet=args.quiet)
     out = args.out or path_beside(args.result, "-measured")
+    if (args.result / NETWORK_FILE).is_file():
+        _measure_network(args, out, terminal)
+        return
     with terminal.step("Measuring"):
         result = read_finished_result(args.result, args.capture)
         count, newest = len(result.stations), result.stations[-1]
@@ -66,6 +73,43 @@ def run(args: Namespace) -> None:
         terminal.show("→ The same command with --shares --overwrite shows where each sigma comes from.")
     else:
         terminal.show(f"→ scan view {args.result} measures between points that are clicked on.")
+
+
+def _measure_network(args: Namespace, out: Path, terminal: Terminal) -> None:
+    """Distances between pixels of any pairs of a network. Raises InputError."""
+    if args.sphere or args.capture is not None:
+        raise InputError("--sphere and --capture are for rigs; a network measures --distance between its pairs' pixels")
+    with terminal.step("Measuring"):
+        points = NetworkPoints.read(args.result)
+        names = [pair.name for pair in points.stations]
+        if not args.distance:
+            raise InputError(
+                f"{args.result}: give a distance with --distance {names[0]}:X1 Y1 {names[-1]}:X2 Y2, of the camera's "
+                f"pixels; there are {', '.join(names)}"
+            )
+        pairs = [(_pixel_of_pair(x1, y1, names), _pixel_of_pair(x2, y2, names)) for x1, y1, x2, y2 in args.distance]
+        measured = measure_pixels(points, pairs)
+    refuse_existing(out / MEASURE_FILE, overwrite=args.overwrite)
+    with new_files(out, [MEASURE_FILE], overwrite=args.overwrite) as (document,):
+        write_document(document, measured, str(args.result))
+    terminal.show(*tables(measured))
+    if args.shares:
+        terminal.show(shares_table(measured))
+    if points.network_errors is None:
+        terminal.show("Note: this result states no covariance of its devices: make it again with scan network.")
+    terminal.show(f"Written: {out} ({MEASURE_FILE})")
+
+
+def _pixel_of_pair(x: str, y: str, names: Sequence[str]) -> PixelPlace:
+    """The pair, by its name, and the pixel: 'left-stage:600' '500'. Raises InputError."""
+    name, _, column = x.rpartition(":")
+    try:
+        return names.index(name), float(column), float(y)
+    except ValueError as error:
+        raise InputError(
+            f"--distance: expected a pair and a pixel of its camera, as in {names[0]}:600 500, found {shown(x)} "
+            f"{shown(y)}; there are {', '.join(names)}"
+        ) from error
 
 
 def _pixel(x: str, y: str, count: int) -> PixelPlace:

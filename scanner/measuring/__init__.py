@@ -11,13 +11,14 @@ from scanner.measuring.acceptance_report import (
 )
 from scanner.measuring.document import MEASURE_FILE, write_document
 from scanner.measuring.figure import FIGURE_FILE, write_figure
-from scanner.measuring.measure import PixelPlace, measure, read_scene
+from scanner.measuring.measure import PixelPlace, measure, measure_pixels, read_scene
 from scanner.measuring.measurements import (
     AngleMeasurement,
     DistanceMeasurement,
     FaceMeasurement,
     MeasuredScene,
 )
+from scanner.measuring.network_points import NetworkPoints, has_matches
 from scanner.measuring.placed_points import PlacedPoints, PointNumber
 from scanner.measuring.planes import measure_scene, one_in_each_cell, sample_cells
 from scanner.measuring.scene_errors import rig_errors

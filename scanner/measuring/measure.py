@@ -40,6 +40,12 @@ def measure(
     return Measurements(scan.unit, scene, spheres, centre_distances(spheres) + distances)
 
 
+def measure_pixels(points: PlacedPoints, pixel_pairs: Sequence[tuple[PixelPlace, PixelPlace]]) -> Measurements:
+    """A distance for each pair of pixels, alone: of a network, which has no faces. Raises InputError."""
+    scene = MeasuredScene((), (), points.errors, None)
+    return Measurements(points.unit, scene, (), tuple(_pixel_distance(points, pair) for pair in pixel_pairs))
+
+
 def _pixel_distance(points: PlacedPoints, pair: tuple[PixelPlace, PixelPlace]) -> DistanceMeasurement:
     first, second = (points.at_pixel(station, (x, y)) for station, x, y in pair)
     if first == second:

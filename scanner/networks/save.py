@@ -9,7 +9,7 @@ from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.pointcloud import MergedCloud, colours_of
 from scanner.configuration import Config
-from scanner.io import write_room, write_room_ply
+from scanner.io import MATCHES_FILE, write_matches, write_room, write_room_ply
 from scanner.networks.graph import network_graph
 from scanner.networks.sights import PairProgress
 from scanner.networks.solve import SolvedNetwork
@@ -28,7 +28,16 @@ from scanner.reporting import (
     picture,
     turning_view,
 )
-from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, REPORT_FILE, Verdict, provenance, verdict_entries
+from scanner.results import (
+    CAPTURES_FOLDER,
+    NETWORK_CLOUD_FILE,
+    NETWORK_FILE,
+    REPORT_FILE,
+    Verdict,
+    network_error_entries,
+    provenance,
+    verdict_entries,
+)
 
 _AHEAD, _UP = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
 _VIEW = (960, 640)
@@ -46,6 +55,10 @@ def save_network(network: SolvedNetwork, verdict: Verdict, folder: Path, config:
     """Write everything. Raises OSError."""
     entries = provenance(folder, config).entries({}) | verdict_entries(verdict) | entries_of(network)
     write_room(folder / NETWORK_FILE, entries)
+    for (camera, projector), capture in network.captures.decoded.items():
+        place = folder / CAPTURES_FOLDER / f"{camera}-{projector}"
+        place.mkdir(parents=True, exist_ok=True)
+        write_matches(place / MATCHES_FILE, capture.matches)
     cloud = cloud_of(network)
     write_room_ply(folder / NETWORK_CLOUD_FILE, cloud, _FRAME)
     _write_page(folder / REPORT_FILE, network, verdict, cloud, config)
@@ -94,7 +107,8 @@ def entries_of(network: SolvedNetwork) -> dict[str, Any]:
     ]
     gains = {projector: surface.gain for projector, surface in network.surfaces.items() if np.isfinite(surface.gain)}
     of_surfaces = {"disagreements": disagreements, "sigma_gains": gains}
-    return {"unit": network.unit, "devices": devices, "planes": planes, **of_surfaces}
+    of_devices = network_error_entries(estimate, network.factor, network.known)
+    return {"unit": network.unit, "devices": devices, "planes": planes, **of_surfaces, **of_devices}
 
 
 def cloud_of(network: SolvedNetwork) -> MergedCloud:

@@ -25,6 +25,8 @@ class SolvedNetwork:
     surfaces: Mapping[str, Joined]
     factor: float
     unit: str
+    known: tuple[str, str] | None = None
+    """Devices whose distance gives the scale."""
 
 
 @dataclass(frozen=True)
@@ -79,4 +81,5 @@ def solve_network(captures: Captures, known: KnownDistance | None, config: Confi
             )
             for projector in sorted({projector for _, projector in matches})
         }
-    return SolvedNetwork(captures, estimate, surfaces, factor, unit)
+    ends_known = None if known is None else (known.first, known.second)
+    return SolvedNetwork(captures, estimate, surfaces, factor, unit, ends_known)

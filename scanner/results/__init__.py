@@ -60,6 +60,7 @@ from scanner.results.stages import (
     solution_of,
     titles_of,
 )
+from scanner.results.stated_network import NetworkErrors, network_error_entries, read_network_errors
 from scanner.results.stated_pose_errors import pose_error_entries, read_pose_errors
 from scanner.results.stated_uncertainty import (
     COLUMNS,

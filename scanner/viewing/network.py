@@ -8,6 +8,7 @@ from calib.geometry import Calibration
 from scanner.cleaning import read_cleaned
 from scanner.errors import InputError
 from scanner.io import StoredDevice, read_network
+from scanner.measuring import NetworkPoints, has_matches
 from scanner.results import CAPTURES_FOLDER, NETWORK_CLOUD_FILE, NETWORK_FILE
 from scanner.viewing.result import PlacedRig, ViewedCloud
 from scanner.viewing.white_picture import read_white_picture
@@ -29,7 +30,8 @@ def network_cloud(folder: Path) -> ViewedCloud:
         for number in range(max(len(cameras), len(projectors)))
     )
     up = np.array([0.0, -1.0, 0.0])
-    return ViewedCloud(cloud.points, cloud.normals, cloud.colours, rigs, None, up, network.unit, "camera")
+    scans = NetworkPoints.read(folder) if has_matches(folder) else None
+    return ViewedCloud(cloud.points, cloud.normals, cloud.colours, rigs, None, up, network.unit, "camera", scans=scans)
 
 
 def _rig(camera: StoredDevice, projector: StoredDevice, unit: str, folder: Path) -> PlacedRig:

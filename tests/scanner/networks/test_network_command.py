@@ -8,10 +8,12 @@ import pytest
 import yaml
 
 from calib.geometry import Intrinsics
+from calib.networks import PER_NODE, meeting_points
 from calib.numerics import Bools, Floats
 from calib.synthetic import RoomOptions, SyntheticNetwork, cast, random_network
 from scanner.decoding import MirroredError
 from scanner.io import write_png
+from scanner.measuring import NetworkPoints, PointNumber
 from scanner.networks import captures
 from scanner.patterns import pattern_to_dict, sequence_for
 from scanner.results import Decoded
@@ -77,6 +79,58 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> tuple[SyntheticNetwork, l
     return network, write_captures(tmp_path_factory.mktemp("hall"), network, rng)
 
 
+def assert_measured(hall: Path, network: SyntheticNetwork) -> None:
+    """Distances between pixels of both pairs, against the room: errors are as large as their sigmas say."""
+    points = NetworkPoints.read(hall)
+    names = [pair.name for pair in points.stations]
+    assert names == ["camera1-projector1", "camera2-projector1"]
+    rng = np.random.default_rng(5)
+    ratios, sigmas = list[float](), list[float]()
+    while len(ratios) < 60:
+        first, last = (PointNumber(station, int(rng.integers(len(points.scan(station))))) for station in (0, 1))
+        ends = first, last
+        truth = [
+            _met(network, names[end.station], points.scan(end.station).matches.camera_px[end.point]) for end in ends
+        ]
+        measured, true = points.distance(ends), float(np.linalg.norm(truth[1] - truth[0]))
+        assert measured.budget is not None
+        if abs(measured.distance - true) < 0.1 * true:  # no wrong match
+            ratios.append((measured.distance - true) / measured.budget.sigma)
+            sigmas.append(measured.budget.sigma / true)
+    assert 0.2 < np.sqrt(np.mean(np.square(ratios))) < 2
+    assert 1e-4 < np.median(sigmas) < 1e-2
+
+    ends = (PointNumber(0, 100), PointNumber(1, 200))
+    assert points.network_errors is not None
+    budget = points.distance(ends).budget
+    assert budget is not None
+    assert points.network_errors.known_distance == ("camera1", "camera2")
+    order = [device.name for device in points.network.devices]
+    one, other, projector = (order.index(name) for name in ("camera1", "camera2", "projector1"))
+    drawn = []
+    matches = [points.scan(end.station).matches[np.array([end.point])] for end in ends]
+    for _ in range(300):
+        step = rng.multivariate_normal(np.zeros(3 * PER_NODE), points.network_errors.covariance, method="eigh")
+        moved = [d.moved(step[PER_NODE * i : PER_NODE * (i + 1)]) for i, d in enumerate(points.devices)]
+        there = [
+            meeting_points(moved[camera], moved[projector], match.camera_px, match.projector_px)[0]
+            for camera, match in zip((one, other), matches, strict=True)
+        ]
+        apart = np.linalg.norm(moved[other].pose.translation - moved[one].pose.translation)
+        drawn.append(np.linalg.norm(there[1] - there[0]) / apart)
+    before = np.linalg.norm(points.devices[other].pose.translation - points.devices[one].pose.translation)
+    assert 0.85 < before * np.std(drawn) / budget.calibration < 1.15
+
+
+def _met(network: SyntheticNetwork, pair: str, camera_px: Floats) -> Floats:
+    """Where in the room a camera's pixel (2,) looks."""
+    camera = pair.partition("-")[0]
+    at = network.poses[camera]
+    points, _ = cast(at.rotate(network.devices[camera].unproject(camera_px[None])), at.translation, network.scene)
+    point: Floats = points[0]
+    return point
+
+
 def test_two_cameras_and_a_projector(taken: tuple[SyntheticNetwork, list[Path]], tmp_path: Path) -> None:
     network, folders = taken
     true = {name: pose.translation for name, pose in network.poses.items()}
@@ -98,6 +152,7 @@ def test_two_cameras_and_a_projector(taken: tuple[SyntheticNetwork, list[Path]],
     (disagreement,) = found["disagreements"]
     # A keystone that the captures do not exclude, and that is not there, is expected as well.
     assert 0.2 < disagreement["relative"] / disagreement["expected"] < 2.0
+    assert_measured(tmp_path / "hall", network)
     report = (tmp_path / "hall" / "report.html").read_text()
     assert "camera2" in report
     assert "Which camera sees whose light" in report
