@@ -35,9 +35,18 @@ FEWEST_STATIONS = 3
 _ONE_AXIS_DEG = 3.0  # rotations that turn by less about all other axes leave a coordinate open
 _MOST_FOCAL = 0.015  # relative sigma of a focal length
 _AMBIGUOUS_NATS, _DIFFERENT, _SAME_SOLUTION = 8.0, 0.03, 0.005
+# Sigmas of a match between a point and the surface that another station sees, each found by 49 of them. Right rigs have
+# 0.28 to 0.3 (benchmarks/bench_anything.py), wrong ones that explain the keypoints of three stations 0.5 to 2.
+_MOST_APART = 1.0
 _RANDOM_PX = 3.0  # how near keypoints are that are matched at random and agree with a motion by chance
 _MOST_RESTING = 0.95
 
+BY_SCENE = FindingKind(
+    "calibrated-by-scene",
+    "The rig was calibrated by points that the stations' pictures share, without a corner or a board.",
+    "For smaller sigmas take more stations, turned about different axes by 10 to 30° each, or calibrate from a corner.",
+    data=("captures", "points", "camera_focal_percent", "projector_focal_percent"),
+)
 TOO_FEW_STATIONS = FindingKind(
     "too-few-stations",
     "Without a corner or a board, fewer than three stations do not determine a calibration.",
@@ -60,6 +69,13 @@ ONE_AXIS = FindingKind(
     "All rotations between the stations of a calibration are about one axis, which leaves the principal points open.",
     "Tip the object once, on its side for instance, or roll the rig once by 20° or more, and take one more capture.",
     data=("axes_deg",),
+)
+APART = FindingKind(
+    "surfaces-bent",
+    "Under no calibration do the surfaces that captures share coincide.",
+    "Check that nothing of the rig changed between the captures, zoom and focus included, and that what stands before "
+    "it kept its shape. Otherwise take more captures, turned less from one to the next.",
+    data=("noise_ratio",),
 )
 UNDETERMINED = FindingKind(
     "scene-undetermined",
@@ -126,11 +142,11 @@ def calibrate_scene(
     if not solved:
         raise _nothing_common(0, 0, len(captures))
     solution = max(solved, key=lambda solution: solution.nats)
-    problem, fit = solution.problem, solution.fit
-    sharp = sharpened(problem, fit.scene, [views[k] for k in solution.places])
-    problem, fit = sharp or (problem, fit)
-    if len(fit.scene.points) < FEWEST_POINTS or len(solution.places) < FEWEST_STATIONS:
-        raise _nothing_common(len(fit.scene.points), len(solution.places), len(captures))
+    sharp = sharpened(solution.problem, solution.fit.scene, [views[k] for k in solution.places])
+    if sharp is None:
+        raise _nothing_common(len(solution.fit.scene.points), len(solution.places), len(captures))
+    problem, fit = sharp
+    _refuse_apart(problem)
     if not provisional:
         _refuse_undetermined(problem, fit)
     _refuse_ambiguous(solution, solved)
@@ -161,6 +177,7 @@ def recalibrate_scene(
     sharp = sharpened(begun, scene, views)
     if sharp is None:
         raise _nothing_common(0, 0, len(captures))
+    _refuse_apart(sharp[0])
     _refuse_undetermined(*sharp)
     return _concluded(*sharp, tuple(range(len(captures))), start.sizes)
 
@@ -185,6 +202,18 @@ def _concluded(
     calibration = calibration_of(rig, *sizes, sigmas_of(rig, covariance))
     uncertainty = Uncertainty(rig, covariance, None, problem.spread.matches * _usual(problem.matches))
     return SceneCalibration(calibration, uncertainty, stations, len(fit.scene.points), problem.spread.keypoint)
+
+
+def _refuse_apart(problem: SceneProblem) -> None:
+    """Raise if the surfaces of the stations do not coincide: a wrong rig bends each in its own way."""
+    if problem.spread.lifted > _MOST_APART:
+        raise RefusalError(
+            APART,
+            f"The surfaces that the captures share are {problem.spread.lifted:.1f} times as far apart as their matches "
+            "are noisy, so that no rig explains them.",
+            APART.remedy,
+            {"noise_ratio": problem.spread.lifted},
+        )
 
 
 def _refuse_undetermined(problem: SceneProblem, fit: SceneFit) -> None:

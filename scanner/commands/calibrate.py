@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 
-from scanner import jobs
+from scanner.calibration_job import calibrate
 from scanner.commands.outcome import show_outcome
 from scanner.configuration import load_config
 from scanner.ui import Terminal
@@ -12,5 +12,5 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError, RefusalError."""
     terminal = Terminal(quiet=args.quiet)
     config = load_config(args.config, args.set)
-    result = jobs.calibrate(args.matches, config, args.out, overwrite=args.overwrite, terminal=terminal)
+    result = calibrate(args.matches, config, args.out, overwrite=args.overwrite, terminal=terminal)
     show_outcome(result, args.out, terminal, args.require)

@@ -6,10 +6,11 @@ import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity, without_kinds
 from calib.refusal import AMBIGUOUS
+from calib.scene import BY_SCENE
 from scanner.objects.contents import SolvedObject
 from scanner.quantities import shown_unit
 from scanner.results import Verdict, fit_together
-from scanner.rooms import BY_SCENE, LOOSE_STATIONS, weakness_of
+from scanner.rooms import LOOSE_STATIONS, weakness_of
 
 _ADVICE = (
     "Make its sides different, for example with painted spots or scraps of paper, so that the pictures show how it was "

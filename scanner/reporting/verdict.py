@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from calib.diagnostics import FROM_ONE_PLACE
-from calib.finding import of_kinds
+from calib.finding import Finding, of_kinds
 from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
+from calib.scene import BY_SCENE
 from scanner.capture import CHANGED_SHAPE
 from scanner.decoding import ONE_AXIS, UNCHECKED, UNSEEN_MOTION
 from scanner.patterns import Axis
@@ -36,6 +37,10 @@ _THIRD_PHOTO = "Add a photo of the same corner from another place, at the same z
 _LOOK_AT_THE_MISSES = (
     "The rays miss each other in a pattern, see “Do the rays meet?”. Use 'method: refined', which knows lens "
     "distortion, or capture the corner again from another place."
+)
+_MORE_OF_IT = (
+    "The rays miss each other in a pattern, see “Do the rays meet?”. Add captures in which what moves fills more of "
+    "the picture: lenses are only known where it was."
 )
 _BOTH_AXES = "Project patterns along the other axis as well to check the calibration."
 _SHORTER_FRINGES = "Project a shorter fringe along each axis as well, or the patterns of 'scan patterns'."
@@ -80,6 +85,8 @@ def _of_outcome(report: ReportInput) -> Verdict:
             return Verdict("fair", headline, reasons, _SHORTER_FRINGES, kinds=(UNCHECKED,))
         case Reconstructed(calibrated, cloud) if axis := calibrated.decoded.only_axis:
             return _of_one_axis(report, cloud.statistics, axis)
+        case Reconstructed(calibrated, cloud) if by_scene := of_kinds(report.findings, BY_SCENE):
+            return _of_scene(calibrated.calibration, cloud.statistics, by_scene[0], report.metadata.pixels)
         case Reconstructed(cloud=cloud):
             return _of_given(cloud.statistics, report.metadata.pixels)
 
@@ -93,6 +100,17 @@ def _of_given(statistics: CloudStatistics, pixels: str) -> Verdict:
         headline = "Reconstructed with a calibration that does not quite fit"
         return Verdict("fair", headline, reasons, _CHECK_THE_CALIBRATION)
     return Verdict("good", "Reconstructed with the calibration that was given", reasons)
+
+
+def _of_scene(calibration: Calibration, statistics: CloudStatistics, finding: Finding, pixels: str) -> Verdict:
+    reasons = (finding.message, *_about_cloud(statistics, pixels))
+    worst = _worst_focal_sigma(calibration)
+    if worst is None or worst > MEASUREMENT_GRADE:
+        return Verdict("fair", "Calibrated without a corner, but roughly", reasons, finding.advice, kinds=(BY_SCENE,))
+    if _misses_systematically(statistics):
+        headline = "Calibrated without a corner, but with systematic errors"
+        return Verdict("fair", headline, reasons, _MORE_OF_IT, kinds=(BY_SCENE,))
+    return Verdict("good", "Calibrated by what the captures share, without a corner", reasons, kinds=(BY_SCENE,))
 
 
 def _about_matches(report: ReportInput) -> Iterator[str]:

@@ -9,8 +9,7 @@ from scanner.rooms.jobs import scan_room, writing_refusals
 from scanner.rooms.live import StationComparison, check_stations, take_object_stations
 from scanner.rooms.mesh import CAMERA_FROM_ROOM
 from scanner.rooms.scene_rig import (
-    BY_SCENE,
-    calibrate_without_corner,
+    after_no_corner,
     rig_from_placed,
     rig_from_scene,
     rig_from_stations,

@@ -6,11 +6,11 @@ from contextlib import contextmanager
 from calib.finding import Finding, FindingKind, Severity, of_kinds
 from calib.geometry import Calibration, Pose
 from calib.refusal import RefusalError
-from calib.scene import FEWEST_STATIONS, SceneCalibration, calibrate_scene, recalibrate_scene
+from calib.scene import BY_SCENE, SceneCalibration, calibrate_scene, recalibrate_scene
 from scanner.configuration import Config
 from scanner.quantities import relative_focal_sigmas
-from scanner.reconstruction import lenses_of, scaled
-from scanner.results import MEASUREMENT_GRADE, Decoded, GivenCalibration
+from scanner.reconstruction import lenses_of
+from scanner.results import MEASUREMENT_GRADE, Decoded
 from scanner.rooms.contents import RigStart
 from scanner.rooms.corner_rig import NO_STATION_WITH_CORNER, rig_from_corners
 from scanner.ui import Progress
@@ -21,12 +21,6 @@ NO_PICTURES = FindingKind(
     "Give captures or results with their recordings instead of matches alone, or the rig's --calibration.",
     data=("captures",),
 )
-BY_SCENE = FindingKind(
-    "calibrated-by-scene",
-    "The rig was calibrated by points that the stations' pictures share, without a corner or a board.",
-    "For smaller sigmas take more stations, turned about different axes by 10 to 30° each, or calibrate from a corner.",
-    data=("captures", "points", "camera_focal_percent", "projector_focal_percent"),
-)
 
 
 def rig_from_stations(stations: Sequence[Decoded], config: Config, progress: Progress) -> RigStart:
@@ -36,27 +30,12 @@ def rig_from_stations(stations: Sequence[Decoded], config: Config, progress: Pro
     except RefusalError as no_corner:
         if no_corner.finding.kind != NO_STATION_WITH_CORNER:
             raise
-        with _after(no_corner):
+        with after_no_corner(no_corner):
             return rig_from_scene(stations, config, progress)
 
 
-def calibrate_without_corner(
-    captures: Sequence[Decoded], config: Config, progress: Progress, no_corner: RefusalError
-) -> tuple[list[GivenCalibration], tuple[Finding, ...]]:
-    """Captures with their rig, by what they share, at the configured scale, and findings.
-
-    Raises RefusalError: `no_corner` for fewer captures than that needs.
-    """
-    if len(captures) < FEWEST_STATIONS:
-        raise no_corner
-    with _after(no_corner):
-        start = rig_from_scene(captures, config, progress)
-    calibration = scaled(start.calibration, None, config.scale)
-    return [GivenCalibration(capture, calibration, start.uncertainty) for capture in captures], start.findings
-
-
 @contextmanager
-def _after(no_corner: RefusalError) -> Iterator[None]:
+def after_no_corner(no_corner: RefusalError) -> Iterator[None]:
     """A refusal in the block says also why there is no corner."""
     try:
         yield
@@ -90,19 +69,20 @@ def rig_from_scene(
 
 
 def rig_from_placed(
-    start: RigStart, stations: Sequence[tuple[Decoded, Pose]], config: Config, progress: Progress
+    start: RigStart, stations: Sequence[Decoded], poses: Sequence[Pose], config: Config, progress: Progress
 ) -> RigStart:
-    """The rig by what stations share that are placed, as X_station = R X_any + t in the unit of the start's rig.
+    """The rig by what stations share. Raises RefusalError.
 
-    Raises RefusalError.
+    `poses`: where they are under the start's rig and in its unit, as X_station = R X_any + t.
     """
     rig = start.calibration
-    pictures = [(station.matches, station.texture) for station, _ in stations if station.texture is not None]
+    pictures = [(station.matches, station.texture) for station in stations if station.texture is not None]
+    with_picture = [pose for pose, station in zip(poses, stations, strict=True) if station.texture is not None]
     with progress.step("Calibrating by all that the stations share"):
         solved = recalibrate_scene(
             rig,
             pictures,
-            [pose for station, pose in stations if station.texture is not None],
+            with_picture,
             principal_point=config.principal_point(rig.camera.size),
             lenses=lenses_of(config, *rig.sizes),
         )

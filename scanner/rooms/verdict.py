@@ -6,10 +6,11 @@ import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.refusal import AMBIGUOUS
+from calib.scene import BY_SCENE
 from scanner.quantities import shown_unit
 from scanner.results import Verdict, fit_together
 from scanner.rooms.contents import SolvedRoom
-from scanner.rooms.scene_rig import BY_SCENE, weakness_of
+from scanner.rooms.scene_rig import weakness_of
 
 # Each station then has less weight, because its smooth errors are common to all.
 _MOST_ALIKE = 2.0

@@ -7,7 +7,7 @@ from calib.geometry import Matches
 from calib.numerics import Floats, Image
 from calib.refusal import RefusalError
 from calib.scene import SceneCalibration, calibrate_scene
-from calib.scene.calibrate import NO_COMMON_POINTS, NOTHING_MOVED, ONE_AXIS, TOO_FEW_STATIONS
+from calib.scene.calibrate import APART, NO_COMMON_POINTS, NOTHING_MOVED, ONE_AXIS, TOO_FEW_STATIONS
 from calib.self_calibration import PrincipalPoint
 from tests.support.things import PROJECTOR, ThingStation, thing_stations, true_rig, turned_stations
 
@@ -75,3 +75,10 @@ def test_a_picture_of_another_size_is_named(stations: list[ThingStation]) -> Non
     matches, picture = captures_of(stations)[0]
     with pytest.raises(ValueError, match="the picture must have the shape"):
         calibrated([(matches, picture[:100])] * 3)
+
+
+def test_a_rig_that_explains_keypoints_alone_is_refused() -> None:
+    """Three of five stations have a few keypoints in common, which a focal length shorter by a third explains."""
+    with pytest.raises(RefusalError) as refusal:
+        calibrated(captures_of(thing_stations([0, 1, 2, 3, 4], CAMERA, seed=1, steps=24, tip_deg=25.0)))
+    assert refusal.value.finding.kind == APART

@@ -12,11 +12,12 @@ from calib.deferred_imports import open3d
 from calib.finding import Finding, Severity
 from calib.geometry import DeviceSigmas, Sigmas
 from calib.refusal import RefusalError
+from calib.scene import BY_SCENE
 from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object
 from scanner.objects.surface import area_of, cloud_of, is_closed, surface_of, volume_of
 from scanner.objects.verdict import verdict_on
-from scanner.rooms import BY_SCENE, CAMERA_FROM_ROOM, RigStart, read_stations
+from scanner.rooms import CAMERA_FROM_ROOM, RigStart, read_stations
 from scanner.ui import Terminal
 from scanner.viewing import ViewedResult
 from tests.support.things import ThingStation, between, config_for, decoded, thing_stations

@@ -1,0 +1,52 @@
+"""A rig's calibration from stations that pictures connect in part, and surfaces whole."""
+
+import logging
+from collections.abc import Sequence
+
+from calib.finding import Finding
+from calib.geometry import Pose
+from calib.refusal import RefusalError
+from calib.scene import FEWEST_STATIONS
+from scanner.configuration import Config
+from scanner.objects.solve import solve_object
+from scanner.reconstruction import scaled
+from scanner.results import Decoded, GivenCalibration
+from scanner.rooms import RigStart, after_no_corner, rig_from_placed, rig_from_scene
+from scanner.ui import Progress
+
+log = logging.getLogger(__name__)
+
+
+def rig_from_object(captures: Sequence[Decoded], config: Config, progress: Progress) -> RigStart:
+    """The rig by all stations of a thing: those whose pictures have points in common calibrate it well enough to place
+    all by their surfaces, which calibrate it for good. Where surfaces place too few, pictures alone have to do.
+
+    Raises RefusalError.
+    """
+    rough = rig_from_scene(captures, config, progress, provisional=True)
+    try:
+        placed = solve_object(captures, rough, config, progress)
+        if len(placed.stations) >= FEWEST_STATIONS:
+            unit = placed.calibration.baseline
+            places = [station.place.inverse() for station in placed.stations]
+            poses = [Pose(place.rotation, place.translation / unit) for place in places]
+            stations = [station.decoded for station in placed.stations]
+            return rig_from_placed(rough, stations, poses, config, progress)
+    except RefusalError as refusal:
+        log.info("without surfaces: %s", refusal.reason)
+    return rig_from_scene(captures, config, progress)
+
+
+def calibrate_without_corner(
+    captures: Sequence[Decoded], config: Config, progress: Progress, no_corner: RefusalError
+) -> tuple[list[GivenCalibration], tuple[Finding, ...]]:
+    """Captures with their rig, by what they share, at the configured scale, and findings.
+
+    Raises RefusalError: `no_corner` for fewer captures than that needs.
+    """
+    if len(captures) < FEWEST_STATIONS:
+        raise no_corner
+    with after_no_corner(no_corner):
+        start = rig_from_object(captures, config, progress)
+    calibration = scaled(start.calibration, None, config.scale)
+    return [GivenCalibration(capture, calibration, start.uncertainty) for capture in captures], start.findings
