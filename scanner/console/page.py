@@ -46,6 +46,7 @@ class ConsolePage:
         gui, scene = served.server.gui, CloudScene(served.server)
         self._worker = Worker(settings, self)
         self._closed = Event()
+        self._opened: Path | None = None
         self._watcher = Thread(target=self._watch, name="clock and history", daemon=True)
         gui.main_panel.dock_left()
         gui.main_panel.set_width(_WIDTH_PX)
@@ -69,7 +70,7 @@ class ConsolePage:
             self._hint = gui.add_markdown("A scan's result appears here; earlier ones can be opened in the history.")
         self._result = ResultPanel(gui, scene, self._pages[RESULT], served.served_files.link, self._set_scale)
         with self._pages[HISTORY]:
-            self._history = History(gui, self._open, served.served_files.link)
+            self._history = History(gui, self._open, served.served_files.link, self._moved)
         # What the worker tells concerns one part each.
         self.on_camera, self.on_sight = self._camera.on_camera, self._network.on_sight
         self.on_captured = self._operating.sound
@@ -148,7 +149,21 @@ class ConsolePage:
             self._result.open_verdict(folder)
         else:
             reading(folder)(self._result)
+        self._opened = folder
         self._turn_to_result()
+
+    def _moved(self, result: Path, place: Path | None) -> None:
+        """A result has another name, or is in the bin: what is shown of it is read from where it is."""
+        if result != self._opened:
+            return
+        self._opened = place
+        if place is None:
+            self._result.close()
+            self._hint.visible = True
+        elif (place / REFUSAL_FILE).is_file():
+            self._result.open_verdict(place)
+        else:
+            reading(place)(self._result)
 
     def _turn_to_result(self) -> None:
         self._hint.visible = False

@@ -5,7 +5,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from scanner.errors import InputError
-from scanner.io import MATCHES_FILE
+from scanner.io import MATCHES_FILE, read_text
 from scanner.rendering import jpeg_uri
 from scanner.results import (
     CALIBRATION_FILE,
@@ -21,6 +21,7 @@ from scanner.results import (
 from scanner.viewing import read_white_picture
 
 SCANS = Path("scans")
+NOTE_FILE = "note.txt"
 _TO_SHOW = (MATCHES_FILE, ROOM_FILE, OBJECT_FILE, NETWORK_FILE, REFUSAL_FILE)
 
 
@@ -50,18 +51,35 @@ _SIDE = 192
 
 @dataclass(frozen=True)
 class Card:
-    """`made_s`: seconds since the epoch. `picture` is a data URI, '' for none; `grade` None where no file says."""
+    """`made_s`: seconds since the epoch. `picture` is a data URI, '' for none; `grade` None where no file says; `note`
+    is the operator's.
+    """
 
     name: str
     made_s: float
     grade: Grade | None
     headline: str
     picture: str
+    note: str
+
+
+def changes_s(result: Path) -> tuple[float, float]:
+    """When a result was made and its note written, in seconds since the epoch; 0 for no note. Raises OSError."""
+    note = result / NOTE_FILE
+    return (result / LOG_FILE).stat().st_mtime, note.stat().st_mtime if note.is_file() else 0.0
+
+
+def note_of(result: Path) -> str:
+    """The operator's note on a result; '' for none, or one that cannot be read."""
+    try:
+        return read_text(result / NOTE_FILE)
+    except InputError:
+        return ""
 
 
 @lru_cache(maxsize=256)
-def card_of(folder: Path, made_s: float) -> Card:
-    """Return the card of a result folder with that time stamp, cached until the result changes."""
+def card_of(folder: Path, made_s: float, noted_s: float = 0.0) -> Card:  # noqa: ARG001  # part of the cache's key
+    """Return the card of a result folder with those time stamps, cached until the result or its note changes."""
     try:
         verdict = verdict_of(folder)
     except InputError:
@@ -69,4 +87,4 @@ def card_of(folder: Path, made_s: float) -> Card:
     grade, headline = (verdict.grade, verdict.headline) if verdict else (None, "")
     places = (folder, *sorted((folder / CAPTURES_FOLDER).glob("*/")))
     picture = next((white for place in places if (white := read_white_picture(place, _SIDE)) is not None), None)
-    return Card(folder.name, made_s, grade, headline, "" if picture is None else jpeg_uri(picture))
+    return Card(folder.name, made_s, grade, headline, "" if picture is None else jpeg_uri(picture), note_of(folder))

@@ -12,6 +12,7 @@ from scanner.console.results import Card
 from scanner.console.worker import Status
 from scanner.networks import PairProgress
 from scanner.results import SIGNS
+from scanner.shown_text import harmless, shortened
 from scanner.viewing import bold, escaped
 
 _SIGNS = {CheckState.OK: "✓", CheckState.POOR: "!", CheckState.FAILED: "✗"}
@@ -112,12 +113,18 @@ def grade_text(rows: list[CheckRow]) -> str:
     return f"**✓ Ready to scan**: all {len(rows)} lines are good."
 
 
-def card_html(card: Card) -> str:
-    """A result in the history: its picture, name, date, and grade."""
+_SHOWN_OF_NOTE = 160
+
+
+def card_html(card: Card, *, chosen: bool = False) -> str:
+    """A result in the history: its picture, name, date, grade and note; the one that is chosen has a frame."""
     when = datetime.fromtimestamp(card.made_s).astimezone()
     picture = f'<img src="{card.picture}" alt="what the camera saw">' if card.picture else '<div class="none"></div>'
     verdict = f"{SIGNS[card.grade]} {card.headline}" if card.grade else "no verdict"
+    note = shortened(harmless(card.note.strip()), _SHOWN_OF_NOTE)
+    kind = "scan-card scan-chosen" if chosen else "scan-card"
     return (
-        f'<div class="scan-card">{picture}<div><p><strong>{escape(card.name)}</strong></p>'
-        f"<p>{escape(verdict)}</p><p class='scan-quiet'>{when:%Y-%m-%d, %H:%M}</p></div></div>"
+        f'<div class="{kind}">{picture}<div><p><strong>{escape(harmless(card.name))}</strong></p>'
+        f"<p>{escape(verdict)}</p><p class='scan-quiet'>{when:%Y-%m-%d, %H:%M}</p>"
+        f"{f'<p class=scan-note>{escape(note)}</p>' if note else ''}</div></div>"
     )

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 from calib.deferred_imports import defer_imports
 
 if TYPE_CHECKING:
+    from scanner.viewing.buttons import PLAIN as PLAIN
+    from scanner.viewing.buttons import HintedButton as HintedButton
     from scanner.viewing.colouring import Colouring as Colouring
     from scanner.viewing.first_look import preview_scan as preview_scan
     from scanner.viewing.opening import add_address as add_address
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
     from scanner.viewing.texts import notes_text as notes_text
     from scanner.viewing.texts import verdict_text as verdict_text
     from scanner.viewing.view import view_result as view_result
-    from scanner.viewing.view_controls import PLAIN as PLAIN
     from scanner.viewing.view_controls import failures_shown as failures_shown
     from scanner.viewing.white_picture import read_white_picture as read_white_picture
 
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 __all__, __getattr__, __dir__ = defer_imports(
     __name__,
     {
+        "buttons": "HintedButton PLAIN",
         "colouring": "Colouring",
         "first_look": "preview_scan",
         "opening": "add_address free_port require_viser",
@@ -52,7 +54,7 @@ __all__, __getattr__, __dir__ = defer_imports(
         "server": "Serving add_style announce_page serving wait",
         "texts": "bar_html bold escaped link_html notes_text verdict_text",
         "view": "view_result",
-        "view_controls": "PLAIN failures_shown",
+        "view_controls": "failures_shown",
         "white_picture": "read_white_picture",
     },
 )

@@ -7,11 +7,12 @@ import viser
 
 from calib.numerics import Floats
 from scanner.shown_text import unbroken
+from scanner.viewing.buttons import PLAIN
 from scanner.viewing.picking import KnownScale, Picked, point_at
 from scanner.viewing.result import ViewedCloud
 from scanner.viewing.scene import CloudScene
 from scanner.viewing.texts import bold, escaped
-from scanner.viewing.view_controls import PLAIN, failures_shown
+from scanner.viewing.view_controls import failures_shown
 
 _MM = 1000.0
 

@@ -22,8 +22,9 @@ from scanner.results import (
     ROOM_CLOUD_FILE,
     ROOM_MESH_FILE,
 )
+from scanner.viewing.buttons import PLAIN
 from scanner.viewing.texts import link_html
-from scanner.viewing.view_controls import PLAIN, failures_shown
+from scanner.viewing.view_controls import failures_shown
 
 _OF_ALL = (NETWORK_FILE, NETWORK_CLOUD_FILE, ROOM_CLOUD_FILE, ROOM_MESH_FILE, OBJECT_CLOUD_FILE, OBJECT_MESH_FILE)
 _FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, CLOUD_FILE, *_OF_ALL, REFUSAL_FILE)

@@ -10,11 +10,12 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from scanner.errors import InputError
+from scanner.viewing.buttons import PLAIN
 from scanner.viewing.colouring import ColourBar
 from scanner.viewing.geometry import WindowView, turned
 from scanner.viewing.pictures import TURN_STEPS, Margin, completed, gif, png
 from scanner.viewing.scene import CloudScene
-from scanner.viewing.view_controls import PLAIN, failures_shown
+from scanner.viewing.view_controls import failures_shown
 from scanner.viewing.windows import Window
 
 _TWICE, _TRIAL = 2.0, 0.1

@@ -12,6 +12,7 @@ import viser
 
 from scanner.quantities import shown_unit
 from scanner.ui import failure_of
+from scanner.viewing.buttons import PLAIN
 from scanner.viewing.colouring import ColourBar, Colouring, possible_colourings
 from scanner.viewing.crop import Box, box_within, frame_of, write_cropped
 from scanner.viewing.decimation import DEFAULT_SHOWN, many, statement
@@ -25,7 +26,6 @@ _PARTS = {"Devices": RIGS, "Faces, ruler": FACES, "Labels": LABELS}
 _WHOLE_PERCENT = 100
 _POINTS, _SURFACE = "Points", "Surface"
 _STEPS = 200  # least number of steps in a range
-PLAIN = (90, 98, 106)  # colour of secondary buttons
 
 
 @contextmanager

@@ -93,7 +93,8 @@ class Visit:
         button.click()
 
     def wait_for(self, text: str) -> None:
-        expect(self.page.get_by_text(text).first).to_be_visible(timeout=PATIENCE_MS)
+        # Hints of buttons are there before they are seen.
+        expect(self.page.get_by_text(text).locator("visible=true").first).to_be_visible(timeout=PATIENCE_MS)
 
     def set_number(self, label: str, value: str) -> None:
         field = self.page.get_by_label(label, exact=True)

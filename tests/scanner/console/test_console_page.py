@@ -62,9 +62,18 @@ def test_the_live_image_follows_the_exposure(console: Console) -> None:
     visit.wait_for("median 0 % of the range")
 
 
-def test_live_clouds_need_a_calibration(console: Console) -> None:
-    console.visit.press("Live clouds")
-    console.visit.wait_for("live clouds need a calibrated rig")
+def test_buttons_that_cannot_work_say_why(console: Console) -> None:
+    """Buttons that cannot work say why while the pointer is on them."""
+    page = console.visit.page
+    for name, reason in (
+        ("Live clouds", "The rig is not calibrated"),
+        ("Network", "The configuration names no network"),
+    ):
+        button = page.get_by_role("button", name=name, exact=True)
+        expect(button).to_be_disabled()
+        expect(page.get_by_text(reason)).to_be_hidden()
+        button.hover(force=True)
+        expect(page.get_by_text(reason)).to_be_visible()
 
 
 _NOTES_UNSAVED = """() => new MutationObserver(() => {
@@ -139,9 +148,8 @@ def test_a_refused_capture_of_another_program_appears_with_its_reason(console: C
     visit.press("History")
     visit.wait_for("from-elsewhere")
     visit.wait_for("✕ Not calibrated")
-    visit.choose("Result", "scans/from-elsewhere")
-    visit.press("Open")
-    visit.wait_for("Not calibrated")
+    visit.press("Open from-elsewhere")
+    visit.wait_for("Result: from-elsewhere")
     visit.page.get_by_text("Files", exact=True).click()
     with visit.page.expect_download() as download:
         visit.press("Download report.html")
@@ -161,23 +169,53 @@ def test_an_earlier_result_is_opened_by_keyboard(scanned: Console) -> None:
     visit = scanned.visit
     visit.page.mouse.click(1000, 900)  # keys are the page's outside of its fields
     visit.page.keyboard.press("Shift+H")
-    visit.choose("Result", "scans/room")
+    visit.page.get_by_role("button", name="Open room", exact=True).wait_for()
     visit.page.get_by_role("button", name="Scan", exact=True).focus()
     for _ in range(60):
         visit.page.keyboard.press("Tab")
-        if visit.page.evaluate("document.activeElement.innerText") == "Open":
+        if visit.page.evaluate("document.activeElement.innerText") == "Open room":
             break
     visit.page.keyboard.press("Enter")
     visit.wait_for("Result: room")
+
+
+def test_a_result_gets_a_name_and_a_note_and_comes_back_from_the_bin(scanned: Console) -> None:
+    visit, scans = scanned.visit, scanned.folder / "scans"
+    visit.press("History")
+    visit.press("Open room")
+    visit.wait_for("Result: room")
+    visit.press("History")
+    visit.page.get_by_text("Rename, note, delete").click()
+    expect(visit.page.get_by_role("button", name="Rename", exact=True)).to_be_disabled()
+    note = visit.page.locator("textarea:visible").first
+    note.fill("the lamp was on")
+    visit.press("Save the note")
+    visit.wait_for("The note is saved.")
+    expect(visit.page.locator(".scan-chosen")).to_contain_text("the lamp was on")
+    assert (scans / "room" / "note.txt").read_text() == "the lamp was on"
+    visit.page.locator(".mantine-TextInput-input:visible").last.fill("../hall")
+    visit.press("Rename")
+    visit.wait_for("It is called hall now.")
+    assert (scans / "hall" / "calibration.yaml").is_file()
+    expect(visit.page.locator(".scan-chosen")).to_contain_text("hall")
+    visit.press("Delete")
+    visit.wait_for("hall is in the bin")
+    assert not (scans / "hall").exists()
+    expect(visit.page.get_by_role("button", name="Open hall", exact=True)).to_have_count(0)
+    visit.press("Undo delete of hall")
+    visit.wait_for("hall is back.")
+    visit.page.locator(".mantine-TextInput-input:visible").last.fill("room")
+    visit.press("Rename")
+    visit.wait_for("It is called room now.")
+    assert (scans / "room" / "note.txt").read_text() == "the lamp was on"
 
 
 def test_two_results_are_compared_side_by_side(scanned: Console) -> None:
     visit, folder = scanned.visit, scanned.folder / "scans" / "other"
     assert main(["--config", str(scanned.config), "--out", str(folder), "--quiet"]) == 0
     visit.press("History")
-    visit.wait_for("other")
-    visit.choose("Result", "scans/room")
-    visit.choose("Beside", "scans/other")
+    expect(visit.page.locator(".scan-chosen")).to_contain_text("other", timeout=PATIENCE_MS)  # the newest
+    visit.choose("Compare with", "scans/room")
     visit.press("Compare")
     with visit.page.context.expect_page() as opened:
         visit.page.get_by_text("Open the comparison, with maps").click()

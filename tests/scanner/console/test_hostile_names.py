@@ -4,6 +4,7 @@ They are those of the working folder, of the configuration, of results, and what
 """
 
 import contextlib
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -43,6 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("hostile") / FILE_NAME
     for number in (1, 2):
         write_hostile(folder / "scans" / f"{number}{FILE_NAME}")
+        (folder / "scans" / f"{number}{FILE_NAME}" / "note.txt").write_text(TEXT, encoding="utf-8")
     (folder / f"{FILE_NAME}.yaml").write_text(CONFIG)
     return folder
 
@@ -80,7 +82,18 @@ def test_the_console_shows_names_as_text(folder: Path, browser: Browser) -> None
         visit.wait_for("Exposed for")
         visit.press("History")
         visit.wait_for("<img src=x onerror=")
-        visit.press("Open")
+        expect(visit.page.locator(".scan-note")).to_have_count(2)
+        visit.page.get_by_text("Rename, note, delete").click()
+        note = visit.page.locator("textarea:visible").first
+        expect(note).to_have_value(re.compile(r"<script>window\.taken = 1<!--$"))
+        note.fill(f"{TEXT}\N{RIGHT-TO-LEFT OVERRIDE}")
+        visit.press("Save the note")
+        visit.wait_for("The note is saved.")
+        visit.press("Delete")
+        visit.wait_for("is in the bin")
+        visit.page.get_by_role("button", name="Undo delete of").click()
+        visit.wait_for("is back.")
+        visit.page.get_by_role("button", name="Open 1").click()
         visit.wait_for("Points, %")
         assert_shown_as_text(served, visit)
 
