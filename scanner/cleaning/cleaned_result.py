@@ -113,7 +113,8 @@ class CleanedResult:
         smooths = any(step.smooth for step in self.steps)
         covariances = _covariances(self.whole.stations[0].scan, IDENTITY) if alone and smooths else None
         start = _start(self.joint, place @ cloud.points, place.rotate(cloud.normals), covariances)
-        return [start, *do_steps(replace(start, frame=place), self.steps)]
+        start = replace(start, frame=place, floor=lambda: _floor(self.joint) @ place)
+        return [start, *do_steps(start, self.steps)]
 
     def cloud(self) -> CleanedCloud:
         """What they leave of the joint cloud. Raises InputError."""
@@ -141,7 +142,7 @@ def read_cleaned(
     steps = read_steps(folder) if steps is None else tuple(steps)
     whole = read_finished_result(folder, capture)
     has_joint = any((folder / name).is_file() for name in (ROOM_FILE, OBJECT_FILE, POSES_FILE))
-    joint = read_finished_result(folder) if capture is not None and steps and has_joint else whole
+    joint = read_finished_result(folder) if capture is not None and has_joint else whole
     changes_axes = not own_axes and any(step.name in ("floor", "axes") for step in steps)
     if not steps or not whole.stations:
         cleaned = CleanedResult(whole, whole.stations, steps, None, joint)

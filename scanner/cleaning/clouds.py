@@ -79,7 +79,12 @@ def _reach(cloud: WorkedCloud) -> str:
 
 
 def inside_box(points: Floats, text: str, unit: str) -> Bools:
-    """Which points (N, 3) are in the box that is described, (N,). Raises InputError if it is none."""
+    """Which points (N, 3) are in the box that is described, (N,): two corners, and, unless it is along the points'
+    axes, its own axes as of `axes_of`. Raises InputError if it is none.
+    """
+    parts = text.split(",")
+    if len(parts) == 6 + 9:
+        text, points = ",".join(parts[:6]), axes_of(",".join(parts[6:]), unit) @ points
     corners = np.array(parse_coordinates(text, unit, 6)).reshape(2, 3)
     low, high = corners.min(axis=0), corners.max(axis=0)
     if np.any(low == high):

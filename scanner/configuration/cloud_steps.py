@@ -3,9 +3,12 @@
 from pydantic import Field, model_validator
 
 from hw.settings import Settings
+from scanner.errors import InputError
 from scanner.io import Flag, Number, Whole
+from scanner.quantities import parse_coordinates, parse_length
 
 MOST_STEPS = 64
+_OF_TURNED_BOX = 6 + 9  # lengths, with those of its axes
 _LARGEST = 1e12
 
 
@@ -14,7 +17,8 @@ class CloudStep(Settings):
 
     box: str | None = Field(
         default=None,
-        description="Keep what is between two corners, as in -0.5m,-0.3m,1m,0.5m,0.3m,2m, along the cloud's axes.",
+        description="Keep what is between two corners, as in -0.5m,-0.3m,1m,0.5m,0.3m,2m, along the cloud's axes, or "
+        "along axes of its own: nine lengths more, as of axes.",
     )
     outliers: Number | None = Field(
         default=None,
@@ -46,6 +50,20 @@ class CloudStep(Settings):
             raise ValueError(f"a step is one of {names}, found {' and '.join(given) or 'none'}")
         return self
 
+    @model_validator(mode="after")
+    def _lengths_can_be_read(self) -> "CloudStep":
+        try:
+            if self.box is not None:
+                parse_coordinates(self.box, "m", _OF_TURNED_BOX if self.box.count(",") + 1 == _OF_TURNED_BOX else 6)
+            if self.axes is not None:
+                parse_coordinates(self.axes, "m", 9)
+            for length in (self.pieces, self.fill):
+                if length is not None:
+                    parse_length(str(length), "m")
+        except InputError as error:
+            raise ValueError(str(error)) from error
+        return self
+
     @property
     def name(self) -> str:
         """Which of them it is."""
@@ -72,6 +90,12 @@ class CloudSettings(Settings):
     steps: tuple[CloudStep, ...] = Field(
         default=(), max_length=MOST_STEPS, description="As in [{outliers: 3}, {pieces: 5cm}]."
     )
+
+    @model_validator(mode="after")
+    def _box_can_be_read(self) -> "CloudSettings":
+        if self.box is not None:
+            CloudStep(box=self.box)
+        return self
 
     @property
     def all_steps(self) -> tuple[CloudStep, ...]:

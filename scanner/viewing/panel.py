@@ -11,15 +11,16 @@ from calib.numerics import Floats
 from scanner.results import NETWORK_FILE, Verdict, verdict_of
 from scanner.viewing.clicking import Clicking, SetScale
 from scanner.viewing.colouring import Colouring
-from scanner.viewing.crop import whole
+from scanner.viewing.crop import Box, whole
 from scanner.viewing.decimation import statement
 from scanner.viewing.files import add_files
 from scanner.viewing.keeping import Keeping
 from scanner.viewing.network import network_cloud
 from scanner.viewing.result import ViewedCloud, ViewedResult
 from scanner.viewing.scene import CloudScene
-from scanner.viewing.texts import calibration_text, corner_text, notes_text, verdict_text
-from scanner.viewing.view_controls import ViewControls, failures_shown
+from scanner.viewing.stepping import keep_box, take_back
+from scanner.viewing.texts import calibration_text, corner_text, escaped, notes_text, verdict_text
+from scanner.viewing.view_controls import PLAIN, ViewControls, failures_shown
 
 LinkTo = Callable[[Path], str]
 Show = Callable[["ResultPanel"], None]
@@ -68,7 +69,8 @@ class ResultPanel:
             with self._folder("View"):
                 self._add_choice(result, name)
                 self._scene.show(cloud)
-                controls = ViewControls(self._gui, self._scene, cloud, title)
+                controls = ViewControls(self._gui, self._scene, cloud, title, partial(self._keep, result, name, cloud))
+                self._add_steps(result, name)
                 Keeping(self._gui, self._scene, title, lambda: controls.legend)
             with self._folder("Measure by clicking"):
                 self._clicking = Clicking(self._gui, self._scene, cloud, self._set_scale)
@@ -106,6 +108,9 @@ class ResultPanel:
                 with self._folder("View"):
                     controls = ViewControls(self._gui, self._scene, cloud, folder.name)
                     Keeping(self._gui, self._scene, folder.name, lambda: controls.legend)
+                if cloud.scans is not None:
+                    with self._folder("Measure by clicking"):
+                        self._clicking = Clicking(self._gui, self._scene, cloud, None)
             self._add_notes(verdict)
         if cloud is not None:
             controls.draw()
@@ -131,6 +136,24 @@ class ResultPanel:
         choice = self._gui.add_dropdown("Cloud", result.names, initial_value=name)
         message = self._gui.add_markdown("", visible=False)
         choice.on_update(lambda _: self._open_another(partial(self.open, result, choice.value), message))
+
+    def _keep(self, result: ViewedResult, name: str, cloud: ViewedCloud, box: Box) -> None:
+        keep_box(result, name, cloud, box)
+        self.open(ViewedResult(result.folder), name)
+
+    def _add_steps(self, result: ViewedResult, name: str) -> None:
+        """What was done to the cloud, and a button that takes the last of it back."""
+        if not result.steps:
+            return
+        self._gui.add_markdown(f"Steps: {escaped('; '.join(step.name for step in result.steps))}.")
+        message = self._gui.add_markdown("", visible=False)
+
+        def undo() -> None:
+            take_back(result)
+            self.open(ViewedResult(result.folder), name)
+
+        button = self._gui.add_button("Take the last step back", color=PLAIN)
+        button.on_click(lambda _: self._open_another(undo, message))
 
     def _open_another(self, opening: Callable[[], None], message: viser.GuiMarkdownHandle) -> None:
         message.content, message.visible = "Reading …", True

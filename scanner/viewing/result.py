@@ -219,13 +219,18 @@ class ViewedResult:
             scans=PlacedPoints(scan.unit, (alone,), scene.errors, None),
         )
 
+    def number_of(self, name: str) -> int | None:
+        """Of the capture or station whose cloud is called so, from 1; None of all of them."""
+        if name not in self._captures:
+            return None
+        joined = [] if self._room is None else [station.folder for station in self._room.stations]
+        return 1 + (joined or capture_folders(self.folder)).index(self._captures[name])
+
     def _cleaned(self, capture: PlacedScan) -> PlacedScan:
         """What the steps of the result leave of a capture, in its camera's frame."""
         if not self.steps:
             return capture
-        joined = [] if self._room is None else [station.folder for station in self._room.stations]
-        number = 1 + (joined or capture_folders(self.folder)).index(capture.folder)
-        (station,) = read_cleaned(self.folder, number, self.steps, own_axes=True).stations
+        (station,) = read_cleaned(self.folder, self.number_of(capture.name), self.steps, own_axes=True).stations
         return replace(capture, kept=station.kept)
 
     def _whole(self, room: FinishedResult) -> ViewedCloud:

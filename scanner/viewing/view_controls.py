@@ -1,7 +1,7 @@
 """Controls of the 3-D view: points or triangles, colours, and the part of the cloud."""
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
@@ -39,10 +39,17 @@ def failures_shown(message: viser.GuiMarkdownHandle) -> Iterator[None]:
 
 class ViewControls:
     """The controls of one cloud, in the GUI container that is open on creation; `name` is used for files of a part of
-    it. `legend`: the title and the bar of the colours that are shown.
+    it. `keep` makes the box a step of the result. `legend`: the title and the bar of the colours that are shown.
     """
 
-    def __init__(self, gui: viser.GuiApi, scene: CloudScene, cloud: ViewedCloud, name: str) -> None:
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        scene: CloudScene,
+        cloud: ViewedCloud,
+        name: str,
+        keep: Callable[[Box], None] | None = None,
+    ) -> None:
         self._gui, self._scene, self._cloud, self._name = gui, scene, cloud, name
         self._lock = Lock()
         self._drawn: object = None
@@ -72,6 +79,10 @@ class ViewControls:
             ]
             gui.add_button("The whole again", color=PLAIN).on_click(lambda _: self._uncut())
             gui.add_button("Download this part", color=PLAIN).on_click(self._download)
+            if keep is not None:
+                hint = "A step of the result: every export and view shows this part, until the step is taken back"
+                button = gui.add_button("Keep only this part", color=PLAIN, hint=hint)
+                button.on_click(lambda _: self._keep(keep))
             self._message = gui.add_markdown("")
         for control in (self._shown_as, self._colouring, self._percent, *self._ranges):
             control.on_update(lambda _: self.draw())
@@ -133,6 +144,10 @@ class ViewControls:
         for field, ends in zip(self._ranges, self._ends, strict=True):
             field.value = ends
         self.draw()
+
+    def _keep(self, keep: Callable[[Box], None]) -> None:
+        with failures_shown(self._message):
+            keep(self.box)
 
     def _download(self, event: viser.GuiEvent[Any]) -> None:
         if event.client is None:

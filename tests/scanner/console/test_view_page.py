@@ -10,8 +10,10 @@ from PIL import Image
 from playwright.sync_api import Browser, expect
 
 from calib.geometry import Intrinsics
+from scanner.cleaning import read_cleaned
 from scanner.commands import main
 from scanner.io import read_cloud
+from scanner.results import read_steps
 from tests.support.browsing import Served, Visit, visiting
 from tests.support.result_folder import write_captures
 
@@ -21,11 +23,16 @@ SMALL = Intrinsics(204, 171, (149.5, 149.5), (104.5, 88.0), (-0.05, 0.0, 0.0, 0.
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("view")
     write_captures(folder / "room", SMALL)
     (folder / "room" / "report.html").write_text("A report's own words", encoding="utf-8")
-    with Served(folder, "view", folder / "room") as served:
+    return folder / "room"
+
+
+@pytest.fixture(scope="module")
+def served(room: Path) -> Iterator[Served]:
+    with Served(room.parent, "view", room) as served:
         yield served
 
 
@@ -123,6 +130,22 @@ def test_a_crop_is_downloaded(visit: Visit) -> None:
     assert 100 < len(part) < 30_000
     visit.press("The whole again")
     visit.wait_for("Showing 1 in 4 of")
+
+
+def test_a_box_is_kept_as_a_step_and_taken_back(visit: Visit, room: Path) -> None:
+    visit.press("Keep only this part")
+    visit.wait_for("the box holds everything")
+    visit.set_number("From face A, mm", "100")
+    visit.wait_for(" in all.")
+    visit.press("Keep only this part")
+    visit.wait_for("Steps: box.")
+    (step,) = read_steps(room)
+    assert step.name == "box"
+    kept = len(read_cleaned(room).cloud())
+    assert 100 < kept < 0.9 * len(read_cleaned(room, steps=[]).cloud())
+    visit.press("Take the last step back")
+    visit.page.get_by_text("Steps: box.").wait_for(state="detached")
+    assert read_steps(room) == ()
 
 
 def test_the_report_is_one_click_away(visit: Visit, served: Served) -> None:
