@@ -45,8 +45,8 @@ def test_the_pose_of_a_turned_thing_is_found(degrees: tuple[float, float, float]
     off = [pose.inverse() @ best for pose in true]
     turned = [float(np.linalg.norm(Rotation.from_matrix(pose.rotation).as_rotvec())) for pose in off]
     nearest = int(np.argmin(turned))
-    assert 0 < np.degrees(turned[nearest]) < 1.5
-    assert np.linalg.norm(best @ CENTRE - CENTRE) < 0.5 * first.grain
+    assert 0 < np.degrees(turned[nearest]) < 0.4
+    assert np.linalg.norm(best @ CENTRE - CENTRE) < 0.08 * first.grain
 
 
 def test_normals_of_a_round_thing_meet_in_its_middle() -> None:

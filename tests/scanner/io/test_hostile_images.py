@@ -1,6 +1,7 @@
 """Small images that would fill the memory, and damaged ones."""
 
 import io
+import re
 import struct
 import zlib
 from collections.abc import Callable
@@ -188,3 +189,15 @@ def test_intact_jpegs_of_any_size_are_read(tmp_path: Path, size: tuple[int, int]
         data = cv2.imencode(".jpg", channels, [cv2.IMWRITE_JPEG_RST_INTERVAL, interval])[1].tobytes()
         (tmp_path / "a.jpg").write_bytes(data + b"and whatever a phone adds")
         assert read_image(tmp_path / "a.jpg").shape == channels.shape
+
+
+@pytest.mark.parametrize("fill", [1, 2, 5])
+def test_a_jpeg_may_have_fill_bytes_before_its_markers(tmp_path: Path, fill: int) -> None:
+    """ITU-T T.81, B.1.1.2."""
+    pixels = np.random.default_rng(0).integers(0, 256, (33, 150, 3)).astype(np.uint8)
+    data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_RST_INTERVAL, 3])[1].tobytes()
+    filled = re.sub(rb"\xff[\xd0-\xd7]", lambda marker: b"\xff" * fill + marker[0], data)
+    assert len(filled) > len(data) + 3 * fill
+    (tmp_path / "plain.jpg").write_bytes(data)
+    (tmp_path / "filled.jpg").write_bytes(filled)
+    np.testing.assert_array_equal(read_image(tmp_path / "filled.jpg"), read_image(tmp_path / "plain.jpg"))

@@ -46,13 +46,22 @@ def test_the_unknown_response_gives_a_common_systematic_shift() -> None:
     np.testing.assert_allclose(shift(third, third, np.empty((len(third), 2, 2))), shifts, atol=0.05)
 
 
-@given(exponent=st.floats(0.5, 3.0), ambient=st.floats(0, 0.1), shades=st.floats(0.2, 1.0), seed=st.integers(0, 99))
+@given(
+    exponent=st.floats(0.5, 3.0),
+    ambient=st.floats(0, 0.1),
+    shades=st.floats(0.2, 1.0),
+    seed=st.integers(0, 99),
+    begin=st.sampled_from([0.0, 0.05, 0.25]),
+)
 @settings(max_examples=30)
-def test_the_response_is_read_from_amplitudes(exponent: float, ambient: float, shades: float, seed: int) -> None:
+def test_the_response_is_read_from_amplitudes(
+    exponent: float, ambient: float, shades: float, seed: int, begin: float
+) -> None:
     rng = np.random.default_rng(seed)
-    fringe, truth = Fringe("x", 300.0, STEPS, (0, 1, 2)), rng.uniform(0, 2 * np.pi, 4000)
+    steps = tuple(begin + step for step in STEPS)
+    fringe, truth = Fringe("x", 300.0, steps, (0, 1, 2)), rng.uniform(0, 2 * np.pi, 4000)
     paint = rng.uniform(shades, 1, len(truth))
-    shown = (1 + np.cos(truth + 2 * np.pi * np.array(STEPS)[:, None])) / 2
+    shown = (1 + np.cos(truth + 2 * np.pi * np.array(steps)[:, None])) / 2
     levels = paint * shown**exponent + ambient
     phasor = np.array([1, 1j]) @ (fringe.weights[1:] @ levels)
     phases = np.angle(phasor)
