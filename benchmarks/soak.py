@@ -39,7 +39,7 @@ from tests.support.places import ROOT
 from tests.support.small_capture import CONFIG
 
 _SETTLING = 5  # rounds in which caches fill
-_MOST_MB = 20.0  # that the memory may drift by, by a line through all later rounds
+_MOST_MB = 20.0  # that the memory may drift by, by a line through the second half of the rounds
 _WHOLE_EVERY = 10  # small rounds
 _ROOM = (
     *("--config", str(ROOT / "configs/room-whole-sim.yaml"), "--stations", "3", "--set", "sequence.preset=quick"),
@@ -289,7 +289,7 @@ def _named(usage: Usage) -> list[tuple[str, float]]:
 
 def _judge(usages: list[Usage]) -> int:
     """Print by how much each rose from when it had settled to the end; memory by a line through the rounds."""
-    settled = usages[_SETTLING:]
+    settled = usages[max(_SETTLING, len(usages) // 2) :]
     memory = np.array([usage.memory_mb for usage in settled])
     drift_mb = float(np.polyfit(np.arange(len(memory)), memory, 1)[0]) * len(memory)
     print(f"{len(usages)} rounds; memory drifted by {drift_mb:+.1f} MB in the last {len(settled)}")
