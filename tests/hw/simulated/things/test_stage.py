@@ -43,3 +43,23 @@ def test_a_surface_does_not_shade_itself() -> None:
     assert scene.lit(points, light).all()
     points[:, 2] = -HALF_M
     assert not scene.lit(points, light).any()
+
+
+@pytest.mark.parametrize("size_m", [0.1, 0.5])
+def test_the_wall_behind_a_thing_leans_back_and_the_table_is_level(size_m: float) -> None:
+    """The wall is 1.3 sizes behind the axis, and a tenth of that further back six sizes above the table."""
+    cube = Solid(1e-6 * _SIGNS, _TRIANGLES, np.full(8, 0.5))
+    scene = TurntableScene(cube, IDENTITY, ThingSettings(kind="box", size_m=size_m))
+    eye = np.array([0.0, -2.0, 2.0]) * size_m
+    places = np.random.default_rng(2).uniform((-5.0, 0.1), (5.0, 5.9), (300, 2)) * size_m
+    wall = np.stack([places[:, 0], 1.3 * size_m * (1 + 0.1 * places[:, 1] / (6 * size_m)), places[:, 1]], axis=1)
+    hits = scene.cast(eye, wall - eye)
+    assert hits.there.all()
+    assert not hits.thing.any()
+    np.testing.assert_allclose(hits.points, wall, rtol=0, atol=1e-4 * size_m)
+    table = np.random.default_rng(3).uniform((-5.0, 0.9, 0.0), (5.0, 1.25, 0.0), (300, 3)) * size_m
+    hits = scene.cast(eye, table - eye)
+    np.testing.assert_allclose(hits.points, table, rtol=0, atol=1e-4 * size_m)
+    np.testing.assert_allclose(hits.normals, np.tile([0.0, 0.0, 1.0], (300, 1)), atol=1e-5)
+    assert 0.35 <= hits.albedo.min() < 0.4
+    assert 0.6 < hits.albedo.max() <= 0.65
