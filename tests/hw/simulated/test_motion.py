@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from calib.numerics import Floats, Image
-from hw.simulated.motion import turned
+from hw.settings import PasserSettings, SimulatedRigSettings
+from hw.simulated.motion import person_in, turned
 from hw.simulated.renderer import Renderer
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
+from hw.simulated.room import draw_room
 from hw.simulated.simulation import SimulatedRoom
 
 pytestmark = pytest.mark.xdist_group("simulated_room")
@@ -102,3 +104,21 @@ def test_a_slow_panel_still_shows_a_share_of_the_last_picture(room: SimulatedRoo
 def test_settings_of_the_room_require_a_new_room(room: SimulatedRoom) -> None:
     with pytest.raises(ValueError, match="seed, albedo"):
         room.under(seed=1, albedo=0.5)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_person_crosses_the_picture_from_its_left_border_to_its_right_one(seed: int) -> None:
+    camera = draw_room(SimulatedRigSettings(seed=seed)).camera
+    passer = PasserSettings(width_m=0.5, first_frame=2, last_frame=11)
+    assert person_in(1, passer, camera) is None
+    assert person_in(12, passer, camera) is None
+    at_px = list[float]()
+    for frame in range(2, 12):
+        person = person_in(frame, passer, camera)
+        assert person is not None
+        middle = person.origin + 0.5 * (person.edges[0] + person.edges[1])
+        middle[2] = camera.centre[2]
+        at_px.append(float(camera.project(middle[:, None])[0][0, 0]))
+    ideal_px = camera.optics.width * (np.arange(10) + 0.5) / 10
+    assert np.all(np.diff(at_px) > 0)
+    assert np.abs(np.array(at_px) - ideal_px).max() < 0.2 * camera.optics.width  # the camera looks down, too
