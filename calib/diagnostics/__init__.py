@@ -8,7 +8,13 @@ from calib.diagnostics.acceptance import (
     refuse_untrustworthy,
 )
 from calib.diagnostics.comparison import Difference, compare
-from calib.diagnostics.contradiction import RIG_CHANGED, ContradictionError, refuse_changed_rig, refuse_contradiction
+from calib.diagnostics.contradiction import (
+    RIG_CHANGED,
+    ContradictionError,
+    explain_change,
+    refuse_changed_rig,
+    refuse_contradiction,
+)
 from calib.diagnostics.error_propagation import (
     Budget,
     LinearFit,

@@ -18,6 +18,7 @@ from calib.refinement import (
     Fit,
     KnownRig,
     Refinement,
+    State,
     covariance_of,
 )
 from calib.refusal import RefusalError
@@ -97,6 +98,15 @@ def refuse_changed_rig(alone: Mapping[int, Uncertainty]) -> None:
             "Something was refocused, zoomed or moved between the two: calibrate from captures of one unchanged rig.",
             {"cost": cost, "limit": limit, "captures": (first, second)},
         )
+
+
+def explain_change(given: State, covariance: Floats, estimate: Uncertainty) -> str:
+    """The parameter by which an estimate differs from a given rig, if it alone has changed, in words.
+
+    `covariance` (21, 21): of the given rig; zeros if it is taken as exact.
+    """
+    rig = KnownRig(given, covariance + estimate.covariance)
+    return _likeliest_change(rig, rig.step_to(estimate.rig), float(chdtri(SHARED, 1 - _SIGNIFICANT)))
 
 
 def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:

@@ -37,7 +37,7 @@ _MOST_FOCAL = 0.015  # relative sigma of a focal length
 _AMBIGUOUS_NATS, _DIFFERENT, _SAME_SOLUTION = 8.0, 0.03, 0.005
 # Sigmas of a match between a point and the surface that another station sees, each found by 49 of them. Right rigs have
 # 0.28 to 0.3 (benchmarks/bench_anything.py), wrong ones that explain the keypoints of three stations 0.5 to 2.
-_MOST_APART = 1.0
+_MOST_APART = 0.8
 _RANDOM_PX = 3.0  # how near keypoints are that are matched at random and agree with a motion by chance
 _MOST_RESTING = 0.95
 
@@ -146,8 +146,8 @@ def calibrate_scene(
     if sharp is None:
         raise _nothing_common(len(solution.fit.scene.points), len(solution.places), len(captures))
     problem, fit = sharp
-    _refuse_apart(problem)
     if not provisional:
+        _refuse_apart(problem)
         _refuse_undetermined(problem, fit)
     _refuse_ambiguous(solution, solved)
     return _concluded(problem, fit, solution.places, (camera_size, projector_size))

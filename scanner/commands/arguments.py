@@ -160,18 +160,25 @@ def _seconds(text: str) -> float:
 
 
 @_command(
-    "Check the rig before a scan: devices, exposure, light, focus, and how well this view will calibrate.",
+    "Check the rig before a scan, or a calibration by captures.",
     """
+With --config: devices, exposure, light, focus, and how well this view will calibrate.
 Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
 projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
 these lines change, and the original file is kept as FILE.bak.
 
 Exit codes: 0 if a scan would work, even if poorly; 3 if a device fails; 4 if a scan of this view would be refused, or,
 with --require good, if anything could be better. The results so far are always shown.
+
+With captures and --calibration: whether the calibration holds, what has changed, and by how much, by one capture of a
+corner, or three or more of anything. Exit codes: 0 if it holds; 1 if not; 4 if the captures determine no calibration.
 """,
 )
 def of_check(parser: ArgumentParser) -> None:
-    add_config(parser, required=True)
+    captures = "recorded capture, result or matches.npz of the rig: one of a corner, or three or more of anything"
+    add_paths(parser, "captures", "CAPTURE", captures, nargs="*")
+    add_config(parser, required=False)
+    add_calibration(parser, "with captures: the calibration to check, of any program")
     add_flag(parser, "--write", "put the exposure and the projector's response into the configuration file")
     parser.add_argument(
         "--watch",

@@ -3,20 +3,34 @@
 import sys
 from argparse import Namespace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from scanner.checking import CheckReport, CheckState, check_configured_rig, table_of, write_check
+from scanner.checking import (
+    CheckReport,
+    CheckState,
+    check_calibration,
+    check_configured_rig,
+    config_of,
+    table_of,
+    write_check,
+)
 from scanner.commands.shared_arguments import is_enough
+from scanner.comparing import table
 from scanner.configuration import load_config, set_keys
-from scanner.errors import GradeError
+from scanner.errors import GradeError, InputError
 from scanner.results import refuse_occupied
-from scanner.ui import Terminal, keep_off_the_terminal
+from scanner.ui import EXIT_DIFFERENT, Terminal, keep_off_the_terminal
 
 # Significant digits: cameras set whole microseconds, and averages are no more accurate.
 _EXPOSURE_DIGITS, _LIGHT_DIGITS = 1, 5
 
 
-def run(args: Namespace) -> None:
-    """Do the work. Raises InputError, DeviceError, RefusalError, GradeError."""
+def run(args: Namespace) -> int:
+    """Do the work; returns the exit code. Raises InputError, DeviceError, RefusalError, GradeError."""
+    if args.captures or args.calibration:
+        return _check_calibration(args)
+    if args.config is None:
+        raise InputError("scan check needs --config FILE, or captures and --calibration FILE")
     config = load_config(args.config, args.set)
     terminal = Terminal(quiet=args.quiet)
     keep_off_the_terminal()
@@ -38,6 +52,29 @@ def run(args: Namespace) -> None:
         raise GradeError(f"{things} could be better, and --require {args.require} asks for none; the table names them")
     better = f"{poor} {'thing' if poor == 1 else 'things'} could be better; to scan anyway: " if poor else ""
     terminal.show(f"→ {better}scan --config {args.config}")
+    return 0
+
+
+def _check_calibration(args: Namespace) -> int:
+    """Judge a calibration by captures. Raises InputError, RefusalError."""
+    if not args.captures or args.calibration is None:
+        raise InputError("a calibration is checked by captures: scan check CAPTURE… --calibration FILE")
+    if args.write or args.watch:
+        raise InputError("--write and --watch are of a live check, without captures")
+    terminal = Terminal(quiet=args.quiet)
+    config = load_config(args.config, args.set) if args.config else config_of(args.calibration, args.set)
+    with TemporaryDirectory(prefix="scan-check-") as temporary:
+        out = args.out or Path(temporary) / "check"
+        check = check_calibration(args.calibration, args.captures, config, out, terminal)
+    verdict = check.verdict
+    terminal.show(
+        table(check.comparison), f"{verdict.sign} {verdict.headline}", *(f"  {each}" for each in verdict.reasons)
+    )
+    if args.out:
+        terminal.show(f"Result: {args.out} (what the captures say)")
+    if verdict.advice:
+        terminal.show(f"→ {verdict.advice}")
+    return EXIT_DIFFERENT if verdict.grade == "refused" else 0
 
 
 def _write(path: Path, report: CheckReport) -> str:
