@@ -1,3 +1,11 @@
 """Calibration from anything rigid: stations of an unchanged rig, without a corner or a board."""
 
-from calib.scene.calibrate import BY_SCENE, FEWEST_STATIONS, SceneCalibration, calibrate_scene, recalibrate_scene
+from calib.scene.calibrate import (
+    BY_SCENE,
+    FEWEST_STATIONS,
+    ONE_AXIS,
+    TOO_FEW_STATIONS,
+    SceneCalibration,
+    calibrate_scene,
+    recalibrate_scene,
+)

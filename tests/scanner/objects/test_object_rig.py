@@ -7,8 +7,7 @@ from calib.geometry import Matches
 from calib.numerics import Floats
 from calib.refinement import State
 from calib.refusal import RefusalError
-from calib.scene import BY_SCENE, calibrate_scene
-from calib.scene.calibrate import ONE_AXIS, TOO_FEW_STATIONS
+from calib.scene import BY_SCENE, ONE_AXIS, TOO_FEW_STATIONS, calibrate_scene
 from calib.self_calibration import PrincipalPoint
 from scanner.objects.object_rig import calibrate_without_corner, rig_from_object
 from scanner.results import Decoded

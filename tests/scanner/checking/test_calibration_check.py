@@ -1,0 +1,88 @@
+"""A calibration is judged by captures of its rig: it holds, or the parameter that changed is named with its amount."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.geometry import Calibration, Pose, rotation_about
+from calib.synthetic import random_captures
+from scanner.checking.calibration_check import check_calibration, config_of
+from scanner.commands.main import main
+from scanner.io import write_calibration, write_matches
+from scanner.ui import Terminal
+
+pytestmark = pytest.mark.xdist_group("calibration check")  # what the module shares is made once
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, list[Path]]:
+    """The true calibration, and matches of three captures of a corner."""
+    folder = tmp_path_factory.mktemp("captures")
+    captures = random_captures(np.random.default_rng(3), 3, count=20_000)
+    paths = [folder / f"{number}.npz" for number in range(3)]
+    for path, capture in zip(paths, captures, strict=True):
+        write_matches(path, capture.matches)
+    return captures[0].calibration, paths
+
+
+def told(
+    tmp_path: Path, rig: tuple[Calibration, list[Path]], change: float = 0.0, turn_deg: float = 0.0
+) -> tuple[str, str]:
+    """The grade of the true calibration after a change of the projector's focal length or a turn, and why."""
+    truth, captures = rig
+    width = truth.projector.focal_px[0] * (1 + change)
+    turn = rotation_about(np.radians([0.0, turn_deg, 0.0]))
+    pose = Pose(turn @ truth.pose.rotation, truth.pose.translation)
+    given = replace(truth, projector=replace(truth.projector, focal_px=(width, width)), pose=pose)
+    write_calibration(tmp_path / "given.yaml", given)
+    config = config_of(tmp_path / "given.yaml")
+    check = check_calibration(tmp_path / "given.yaml", captures, config, tmp_path / "out", Terminal(quiet=True))
+    return check.verdict.grade, check.verdict.reasons[0]
+
+
+def test_the_true_calibration_holds(tmp_path: Path, rig: tuple[Calibration, list[Path]]) -> None:
+    grade, reason = told(tmp_path, rig)
+    assert grade == "good"
+    assert reason.startswith("The file's focal length of the camera is 0.")
+
+
+def test_a_zoomed_projector_is_named_with_its_amount(tmp_path: Path, rig: tuple[Calibration, list[Path]]) -> None:
+    grade, reason = told(tmp_path, rig, change=0.02)
+    assert grade == "refused"
+    assert reason.startswith("A change of the projector's focal length by 2 %")
+
+
+def test_a_turned_device_is_named_with_its_amount(tmp_path: Path, rig: tuple[Calibration, list[Path]]) -> None:
+    grade, reason = told(tmp_path, rig, turn_deg=0.5)
+    assert grade == "refused"
+    assert reason.startswith("A change of the rotation between them by 0.5°")
+
+
+def test_the_command_ends_with_1_where_it_does_not_hold(
+    tmp_path: Path, rig: tuple[Calibration, list[Path]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth, captures = rig
+    camera = truth.camera.focal_px[0] * 1.03
+    path = tmp_path / "wrong.yaml"
+    write_calibration(path, replace(truth, camera=replace(truth.camera, focal_px=(camera, camera))))
+    assert main(["check", *map(str, captures), "--calibration", str(path)]) == 1
+    shown = capsys.readouterr().out
+    assert "✕ The calibration does not hold." in shown
+    assert "A change of the camera's focal length by 3" in shown
+    assert not list(tmp_path.glob("*check*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["check"], "scan check needs --config FILE, or captures and --calibration FILE"),
+        (["check", "--calibration", "rig.yaml"], "scan check CAPTURE… --calibration FILE"),
+        (["check", "capture", "--calibration", "rig.yaml", "--write"], "--write and --watch are of a live check"),
+        (["check", "capture", "--calibration", "rig.yaml"], "rig.yaml: cannot be read: no such file"),
+    ],
+)
+def test_what_is_missing_is_said(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    assert words in capsys.readouterr().err
