@@ -11,12 +11,14 @@ from viser import uplot
 from hw.backends import RigSettings
 from hw.rig import Frame, Rig, settable_exposure
 from hw.settings import CameraRigSettings
-from scanner.console.picture import HISTOGRAM_BINS, exposed, histogram, shown
+from scanner.console.large_image import LargeImage, Shown
+from scanner.console.picture import HISTOGRAM_BINS, exposed, histogram, sharpness, shown
 from scanner.console.settings import IdlePicture
 from scanner.quantities import percent
 from scanner.rendering import Pixels, jpeg_uri
 
 _EVERY_S = 0.15  # a page and a network have to keep up
+_THUMBNAIL_PX = 320
 _LONGEST_MS = 10_000.0
 _FONT = "12px sans-serif"
 _LINE, _FILL = "#444444", "#bbbbbb"
@@ -27,18 +29,21 @@ Change = Callable[..., None]
 class CameraView:
     """Built into the container that is open when it is made; `change` takes the settings that the operator changes."""
 
-    def __init__(self, gui: viser.GuiApi, settings: RigSettings, change: Change) -> None:
-        self._change = change
+    def __init__(self, gui: viser.GuiApi, large: LargeImage, settings: RigSettings, change: Change) -> None:
+        self._large, self._change = large, change
+        self._sharpest = 0.0
         self._highest_level = 255
         self._shown_s = 0.0
         self._image = gui.add_html("")
         self._message = gui.add_markdown("No frame yet.")
-        self._mark = gui.add_checkbox("Mark clipped", initial_value=True, hint="Clipped pixels in orange-red")
+        self._mark = gui.add_checkbox(
+            "Mark extremes", initial_value=True, hint="Clipped pixels in orange-red, dark ones in blue"
+        )
         self._picture = gui.add_dropdown("Projector", [picture.value for picture in IdlePicture])
         self._exposure = gui.add_number("Exposure, ms", 0.0, min=0.0, max=_LONGEST_MS, step=0.1)
         self._add_gain(gui, settings)
         self._histogram = _histogram_plot(gui)
-        self._picture.on_update(lambda _: change(picture=IdlePicture(self._picture.value)))
+        self._picture.on_update(lambda _: self._change_picture())
         self._exposure.on_update(self._on_exposure)
 
     def set_exposure(self, exposure_us: float) -> None:
@@ -48,6 +53,7 @@ class CameraView:
 
     def on_camera(self, rig: Rig) -> None:
         """The rig is open: its camera's limits are known."""
+        self._sharpest = 0.0
         self._highest_level = rig.camera.highest_level
         camera = settable_exposure(rig.camera)
         self._exposure.disabled = camera is None
@@ -56,13 +62,15 @@ class CameraView:
             self._exposure.min, self._exposure.max = max(0.0, low_us / 1000), min(_LONGEST_MS, high_us / 1000)
             self._exposure.value = round(camera.exposure_us / 1000, 3)
 
-    def on_frame(self, frame: Frame) -> None:
+    def on_frame(self, frame: Frame, camera: str = "") -> None:
         """Show a frame, unless the last one was shown a moment ago."""
         now_s = time.monotonic()
         if now_s - self._shown_s < _EVERY_S:
             return
         self._shown_s = now_s
-        self._image.content = _html(shown(frame.image, self._highest_level, mark_clipped=self._mark.value))
+        self._image.content = _html(
+            shown(frame.image, self._highest_level, mark_clipped=self._mark.value, longest_side=_THUMBNAIL_PX)
+        )
         light = exposed(frame.image, self._highest_level)
         exposure = "" if frame.exposure_us is None else f"Exposed for {frame.exposure_us / 1000:.4g} ms. "
         self._message.content = (
@@ -71,6 +79,20 @@ class CameraView:
         )
         levels, counts = histogram(frame.image, self._highest_level)
         self._histogram.data = (levels, np.maximum(counts, 1.0))
+        sharp = sharpness(frame.image)
+        self._sharpest = max(self._sharpest, sharp)
+        focus = f"{100 * sharp / self._sharpest:.0f} % of the sharpest so far" if self._sharpest else "no light"
+        lines = (
+            f"Clipped {percent(light.clipped)}, dark {percent(light.dark)}",
+            f"Focus, in the middle: {focus}",
+            "A click shows single pixels, another the whole",
+        )
+        name = (camera,) if camera else ()
+        self._large.show(Shown(frame.image, self._highest_level, self._mark.value, (*name, *lines), counts))
+
+    def _change_picture(self) -> None:
+        self._sharpest = 0.0  # stripes have more detail than white
+        self._change(picture=IdlePicture(self._picture.value))
 
     def _on_exposure(self, event: viser.GuiEvent[Any]) -> None:
         if event.client is not None and self._exposure.value > 0:  # else it was set by the program, to what is so
@@ -85,8 +107,8 @@ class CameraView:
 
 
 def _html(picture: Pixels) -> str:
-    """The picture as wide as the panel. Viser's own image complains in the browser's console when it changes fast."""
-    style = "width:100%; padding:0 0.7em; box-sizing:border-box"
+    """The picture, small. Viser's own image complains in the browser's console when it changes fast."""
+    style = "width: 60%; padding: 0 0.7em; box-sizing: border-box"
     return f'<img alt="what the camera sees" style="{style}" src="{jpeg_uri(picture)}">'
 
 

@@ -12,6 +12,7 @@ from scanner.console.camera_view import CameraView
 from scanner.console.check_view import CheckView
 from scanner.console.configuration_view import ConfigurationView
 from scanner.console.history import History
+from scanner.console.large_image import LargeImage
 from scanner.console.live_view import LiveView
 from scanner.console.network_view import NetworkView
 from scanner.console.operating import Operating
@@ -22,6 +23,7 @@ from scanner.results import REFUSAL_FILE, Scan
 from scanner.ui import Terminal
 from scanner.viewing import (
     CloudScene,
+    HintedButton,
     KnownScale,
     ResultPanel,
     Serving,
@@ -36,6 +38,7 @@ from scanner.viewing import (
 _WIDTH_PX = 380
 _LOOKED_EVERY_S = 1.0
 _PAGES = CAPTURE, RESULT, HISTORY = ("Capture", "Result", "History")
+_WHY_CLOSE, _NOTHING_OPEN = "The camera's image takes its place", "No result is open."
 _KEYS = ("I", "R", "H")  # with Shift; digits with it are other characters on every keyboard
 
 
@@ -61,13 +64,15 @@ class ConsolePage:
             self._check = CheckView(gui, settings.config, lambda exposure_us: self._camera.set_exposure(exposure_us))
             self._network = NetworkView(gui, self._worker.change, self._operating.prefer_network)
             with gui.add_folder("Camera"):
-                self._camera: CameraView = CameraView(
-                    gui, settings.in_turn()[0].load().required_rig, self._worker.change
-                )
+                large = LargeImage(served.server.scene, scene.windows)
+                rig = settings.in_turn()[0].load().required_rig
+                self._camera: CameraView = CameraView(gui, large, rig, self._worker.change)
             with gui.add_folder("Configuration", expand_by_default=False):
                 self._configuration = ConfigurationView(gui, settings.config)
         with self._pages[RESULT]:
             self._hint = gui.add_markdown("A scan's result appears here; earlier ones can be opened in the history.")
+            self._put_away = HintedButton(gui, "Close the result", lambda _: self._close_result(), _WHY_CLOSE)
+            self._put_away.allow(_NOTHING_OPEN)
         self._result = ResultPanel(gui, scene, self._pages[RESULT], served.served_files.link, self._set_scale)
         with self._pages[HISTORY]:
             self._history = History(gui, self._open, served.served_files.link, self._moved)
@@ -98,7 +103,7 @@ class ConsolePage:
 
     def on_frame(self, frame: Frame, camera: str = "") -> None:
         """Show it."""
-        self._camera.on_frame(frame)
+        self._camera.on_frame(frame, camera)
         if camera:
             self._network.on_frame(camera, frame)
 
@@ -158,15 +163,21 @@ class ConsolePage:
             return
         self._opened = place
         if place is None:
-            self._result.close()
-            self._hint.visible = True
+            self._close_result()
         elif (place / REFUSAL_FILE).is_file():
             self._result.open_verdict(place)
         else:
             reading(place)(self._result)
 
+    def _close_result(self) -> None:
+        self._opened = None
+        self._result.close()
+        self._hint.visible = True
+        self._put_away.allow(_NOTHING_OPEN)
+
     def _turn_to_result(self) -> None:
         self._hint.visible = False
+        self._put_away.allow()
         self._turn_to(RESULT)
 
 

@@ -78,8 +78,9 @@ def restore_result(binned: Path) -> Path:
     place = unused(binned.parents[2] / binned.name)
     with _explained(binned, "taken out of the bin"):
         restored = binned.rename(place)
-    with contextlib.suppress(OSError):  # something else was put there
+    with contextlib.suppress(OSError):  # there is something else
         binned.parent.rmdir()
+        binned.parents[1].rmdir()
     return restored
 
 

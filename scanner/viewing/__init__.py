@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from scanner.viewing.view import view_result as view_result
     from scanner.viewing.view_controls import failures_shown as failures_shown
     from scanner.viewing.white_picture import read_white_picture as read_white_picture
+    from scanner.viewing.windows import Window as Window
+    from scanner.viewing.windows import Windows as Windows
 
 # Viser is optional, and the command line asks for `add_address` alone.
 __all__, __getattr__, __dir__ = defer_imports(
@@ -56,5 +58,6 @@ __all__, __getattr__, __dir__ = defer_imports(
         "view": "view_result",
         "view_controls": "failures_shown",
         "white_picture": "read_white_picture",
+        "windows": "Window Windows",
     },
 )

@@ -1,7 +1,7 @@
 """Geometry of the view: frusta, rulers, viewpoint, and what a window shows from there. Arrays only."""
 
 from dataclasses import dataclass
-from math import floor, log10
+from math import ceil, floor, log10
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,6 +19,7 @@ USUAL_ASPECT = 1.0
 _MARGIN = 1.15
 FRUSTUM_OF_SIZE = 0.25
 _CENTRINGS = 8
+_TALL_PX = 1100  # of a page; in pixels of the screen, phones are three times as high as on their pages
 _ABOVE, _BESIDE = 0.7, 0.5
 
 
@@ -90,6 +91,11 @@ class WindowView:
     width: int
     height: int
 
+    @property
+    def density(self) -> int:
+        """How many of these pixels, at most, one of its text is: they are those of the screen, not of the page."""
+        return density_of(self.height)
+
     @classmethod
     def towards(cls, view: Viewpoint, fov_rad: float, width: int, height: int) -> "WindowView":
         """The view of a window from a place, upright."""
@@ -113,6 +119,11 @@ class WindowView:
         with np.errstate(divide="ignore", invalid="ignore"):
             pixels = self.focal_px * before[:, :2] / depth[:, None] + (self.width / 2, self.height / 2)
         return pixels, depth
+
+
+def density_of(height: int) -> int:
+    """How many pixels of the screen, at most, are one of a page in a window so high."""
+    return max(1, ceil(height / _TALL_PX))
 
 
 def turned(view: Viewpoint, angle_rad: float) -> Viewpoint:

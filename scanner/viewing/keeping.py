@@ -69,7 +69,7 @@ class Keeping:
             _drawn(
                 window, view, _TRIAL
             )  # the size of the points goes another way to the browser than the order to draw
-            return png(completed(_drawn(window, view, _TWICE), self._margin(window, view), _TWICE))
+            return png(completed(_drawn(window, view, _TWICE), self._margin(window, view), _TWICE, view.density))
 
     def _turn(self, window: Window) -> bytes:
         view, viewpoint = window.view, window.viewpoint
@@ -83,7 +83,9 @@ class Keeping:
                 place = turned(viewpoint, 2 * np.pi * step / TURN_STEPS)
                 seen_from = WindowView.towards(place, view.fov_rad, view.width, view.height)
                 window.arrange(seen_from)
-                pictures.append(completed(_drawn(window, seen_from, size), self._margin(window, view), size))
+                pictures.append(
+                    completed(_drawn(window, seen_from, size), self._margin(window, view), size, view.density)
+                )
                 self._message.content = f"The browser draws: {step + 1} of {TURN_STEPS} …"
         return gif(pictures)
 

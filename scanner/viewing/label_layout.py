@@ -61,7 +61,7 @@ def arranged(labels: Sequence[Label], view: WindowView) -> tuple[Anchor | None, 
             continue
         inside = [
             (anchor, area)
-            for anchor, area in _areas(label, pixel)
+            for anchor, area in _areas(label, pixel, view.density)
             if _is_inside(area, view) and not any(_overlap(area, other) for other in taken)
         ]
         anchors.append(inside[0][0] if inside else None)
@@ -69,17 +69,17 @@ def arranged(labels: Sequence[Label], view: WindowView) -> tuple[Anchor | None, 
     return tuple(anchors)
 
 
-def area_of(text: str, pixel: Floats, anchor: Anchor) -> Floats:
+def area_of(text: str, pixel: Floats, anchor: Anchor, density: int = 1) -> Floats:
     """Left, top, right and bottom of a label at a pixel, (4,)."""
-    size = np.array([LETTER_PX * len(text) + _PADDING_PX, LINE_PX])
+    size = density * np.array([LETTER_PX * len(text) + _PADDING_PX, LINE_PX])
     vertical, horizontal = anchor.split("-")
     low = pixel - size * (_BEFORE[horizontal], _BEFORE[vertical])
     return np.concatenate([low, low + size])
 
 
-def _areas(label: Label, pixel: Floats) -> Iterator[tuple[Anchor, Floats]]:
+def _areas(label: Label, pixel: Floats, density: int) -> Iterator[tuple[Anchor, Floats]]:
     for anchor in dict.fromkeys((label.anchor, *_ANCHORS)):
-        yield anchor, area_of(label.text, pixel, anchor)
+        yield anchor, area_of(label.text, pixel, anchor, density)
 
 
 def _overlap(first: Floats, second: Floats) -> bool:

@@ -32,25 +32,29 @@ class Margin:
     bar: ColourBar | None = None
 
 
-def completed(drawn: NDArray[np.uint8], margin: Margin, enlargement: float) -> Image.Image:
-    """Write scale bar and legend on what a window has drawn, (H, W, 4) RGBA, `enlargement` times as large, on white."""
+def completed(drawn: NDArray[np.uint8], margin: Margin, enlargement: float, density: int = 1) -> Image.Image:
+    """Write scale bar and legend on what a window of a `density` has drawn, (H, W, 4) RGBA, on white.
+
+    `enlargement`: how many times as large as the window the drawn picture is.
+    """
     picture = Image.new("RGB", (drawn.shape[1], drawn.shape[0]), "white")
     rgba = Image.fromarray(drawn)
     picture.paste(rgba, mask=rgba.getchannel("A"))
     draw = ImageDraw.Draw(picture)
-    font = ImageFont.load_default(_TEXT * enlargement)
+    of_text = enlargement * density
+    font = ImageFont.load_default(_TEXT * of_text)
 
     def px(length: float) -> int:
-        return round(length * enlargement)
+        return round(length * of_text)
 
-    line, width = px(_TEXT + 4), px(margin.scale.width_px)
+    line, width = px(_TEXT + 4), round(enlargement * margin.scale.width_px)
     left, top = px(_MARGIN), picture.height - px(_MARGIN) - line - px(6)
     corners = [(left, top), (left, top + px(6)), (left + width, top + px(6)), (left + width, top)]
     draw.line(corners, _INK, max(1, px(2)))
     text = margin.scale.text.translate(_KNOWN)
     draw.text((left + width / 2, top + px(8)), text, _INK, font, anchor="ma")
     if margin.bar is not None:
-        _draw_legend(picture, margin.title, margin.bar, (left, top - px(_GAP) - 2 * line - px(_BAR)), enlargement)
+        _draw_legend(picture, margin.title, margin.bar, (left, top - px(_GAP) - 2 * line - px(_BAR)), of_text)
     return picture
 
 

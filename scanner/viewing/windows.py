@@ -1,22 +1,24 @@
 """What differs between browser windows on a scene: their views, the room for labels, walls before them, the scale."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from threading import Lock
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.numerics import Floats
-from scanner.viewing.geometry import FIELD_OF_VIEW_RAD, Viewpoint, WindowView, viewpoint
+from scanner.viewing.geometry import FIELD_OF_VIEW_RAD, Viewpoint, WindowView, density_of, viewpoint
 from scanner.viewing.label_layout import Label, arranged
 from scanner.viewing.result import ViewedCloud
 from scanner.viewing.scale_bar import ScaleBar, scale_bar, scale_bar_html
 from scanner.viewing.see_through import RoomPart
 
 LABELS = "/labels"
-_NARROW_PX, _UNCOVERED = 576, 0.55  # of windows so narrow, the panel covers the lower part (page.css)
+_NARROW_PX, _UPRIGHT, _UNCOVERED = 576, 0.59, 0.55  # of phones, the panel covers the lower part (page.css)
+_QUALITY = 85  # of JPEG
 _STILL = 1e-3  # of the distance to the target: a window that has not been moved
 
 
@@ -69,6 +71,13 @@ class Windows:
         for window in windows:
             window.clear()
 
+    def paint(self, picture: "Callable[[Window], NDArray[np.uint8] | None]") -> None:
+        """Fill each window that shows no cloud with its picture, (H, W, 3) RGB of the window's size; None for none."""
+        with self._lock:
+            windows = [] if self._drawn is not None else list(self._windows.values())
+        for window in windows:
+            window.paint(picture(window))
+
     def of(self, client: viser.ClientHandle) -> "Window | None":
         """That of a client."""
         return self._windows.get(client.client_id)
@@ -91,15 +100,47 @@ class Window:
         self._drawn: Drawn | None = None
         self._aimed: Viewpoint | None = None
         self._aspect = 0.0
-        self._is_there = False
+        self._is_there = self._is_painted = False
         self._labels: list[viser.LabelHandle] = []
         self._walls: dict[str, viser.FrameHandle] = {}
         self._scale = client.gui.add_html("")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Its width and height, in pixels."""
+        return self.client.camera.image_width, self.client.camera.image_height
+
+    @property
+    def free(self) -> tuple[int, int]:
+        """The width and height of its part from the top left that no panel covers."""
+        width, height = self.size
+        return width, round(self._uncovered * height)
+
+    @property
+    def _uncovered(self) -> float:
+        width, height = self.size
+        is_phone = width < _NARROW_PX * self.density and width < _UPRIGHT * height
+        return _UNCOVERED if is_phone else 1.0
+
+    @property
+    def density(self) -> int:
+        """As of `WindowView`."""
+        return density_of(self.client.camera.image_height)
+
+    def paint(self, picture: NDArray[np.uint8] | None) -> None:
+        """Fill it with a picture, unless it shows a cloud."""
+        with self._lock:
+            if self._drawn is None and (picture is not None or self._is_painted):
+                self._is_painted = picture is not None
+                self.client.scene.set_background_image(picture, "jpeg", jpeg_quality=_QUALITY)
 
     def show(self, drawn: Drawn) -> None:
         """Show everything, however narrow the window is."""
         with self._lock:
             self._remove()
+            if self._is_painted:
+                self._is_painted = False
+                self.client.scene.set_background_image(None)
             self._drawn = drawn
             scene = self.client.scene
             self._labels = [
@@ -158,7 +199,7 @@ class Window:
         if self._drawn is None:
             raise ValueError("without a cloud there is no scale")
         distance = float(np.linalg.norm(self.client.camera.look_at / self._drawn.factor - view.position))
-        return scale_bar(view.focal_px / max(distance, np.finfo(np.float64).tiny), self._drawn.cloud.unit)
+        return scale_bar(view.focal_px / max(distance, np.finfo(np.float64).tiny), self._drawn.cloud.unit, view.density)
 
     def arrange(self, view: WindowView) -> None:
         """Have labels and walls as they have to be for a view."""
@@ -175,8 +216,7 @@ class Window:
     def _aim(self, drawn: Drawn) -> None:
         camera = self.client.camera
         self._aspect, self._is_there = camera.aspect, False
-        uncovered = _UNCOVERED if camera.image_width < _NARROW_PX else 1.0
-        view = self._aimed = viewpoint(drawn.cloud, camera.aspect, uncovered)
+        view = self._aimed = viewpoint(drawn.cloud, camera.aspect, self._uncovered)
         with self.client.atomic():
             camera.up_direction = view.up
             camera.position = drawn.factor * view.position
@@ -194,7 +234,7 @@ class Window:
             behind = not drawn.walls[name].is_before(view.position)
             if frame.visible != behind:
                 frame.visible = behind
-        text = scale_bar_html(self.scale_of(view))
+        text = scale_bar_html(self.scale_of(view), view.height)
         if self._scale.content != text:
             self._scale.content = text
 

@@ -62,6 +62,20 @@ def test_the_live_image_follows_the_exposure(console: Console) -> None:
     visit.wait_for("median 0 % of the range")
 
 
+def test_the_camera_has_the_large_area_until_there_is_a_cloud(console: Console) -> None:
+    visit = console.visit
+    visit.choose("Projector", "White")
+    visit.wait_for("Clipped: 0.0 %")
+    whole = visit.at_rest(lambda colours: colours > 8)
+    box = visit.page.locator("canvas").first.bounding_box()
+    assert box
+    # Beside the lit wall it is dark: of single pixels there are fewer kinds than of the whole.
+    visit.page.mouse.click(box["x"] + 0.9 * box["width"], box["y"] + 0.2 * box["height"])
+    visit.at_rest(lambda colours: colours < whole - 2)
+    visit.page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    visit.at_rest(lambda colours: colours >= whole - 2)
+
+
 def test_buttons_that_cannot_work_say_why(console: Console) -> None:
     """Buttons that cannot work say why while the pointer is on them."""
     page = console.visit.page

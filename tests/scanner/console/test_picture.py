@@ -1,12 +1,13 @@
 """Frames for display: clipping, brightness, and the reduced picture."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from scanner.console.picture import CLIPPED_COLOUR, HISTOGRAM_BINS, clipped_pixels, exposed, histogram, shown
+from scanner.console.picture import CLIPPED_COLOUR, HISTOGRAM_BINS, clipped_pixels, exposed, histogram, sharpness, shown
 
 
 def grey(height: int = 40, width: int = 60, level: int = 100) -> np.ndarray:
@@ -65,3 +66,14 @@ def test_colours_are_returned_as_rgb() -> None:
     image = np.zeros((4, 4, 3), np.uint8)
     image[..., 0] = 200  # blue, in OpenCV's order
     assert tuple(shown(image, 255, mark_clipped=False)[0, 0]) == (0, 0, 200)
+
+
+def test_sharpness_falls_with_blur_and_not_with_the_exposure() -> None:
+    rng = np.random.default_rng(3)
+    scene = cv2.GaussianBlur(rng.uniform(5_000, 30_000, (1200, 1300)), (0, 0), 2.0)
+    values = [sharpness(cv2.GaussianBlur(scene, (0, 0), blur).astype(np.uint16)) for blur in (0.1, 1.0, 2.0, 4.0)]
+    assert values == sorted(values, reverse=True)
+    assert values[0] > 2 * values[2] > 4 * values[3] > 0
+    assert sharpness((2 * scene).astype(np.uint16)) == pytest.approx(sharpness(scene.astype(np.uint16)), rel=1e-3)
+    assert sharpness(np.zeros((10, 10), np.uint8)) == 0
+    assert sharpness(np.full((10, 10, 3), 80, np.uint8)) == pytest.approx(0, abs=1e-6)

@@ -1,5 +1,6 @@
 """The first view: labels apart, near walls seen through, a scale bar that is right, and pictures that are kept."""
 
+import re
 from dataclasses import replace
 from io import BytesIO
 
@@ -29,14 +30,19 @@ def window(width: int = 1010, height: int = 900) -> WindowView:
 @given(st.lists(st.tuples(st.text(min_size=1, max_size=30), *[st.floats(-2, 2)] * 3), max_size=30))
 def test_no_label_lies_over_another_or_is_cut_off(drawn: list[tuple[str, float, float, float]]) -> None:
     labels = [Label(text, np.array(place), "center-center") for text, *place in drawn]
-    view = window()
+    for view in (window(), window(2020, 1800)):  # the second on a screen with twice the pixels
+        assert view.density == view.height // 900
+        assert_apart(labels, view)
+
+
+def assert_apart(labels: list[Label], view: WindowView) -> None:
     anchors = arranged(labels, view)
     assert len(anchors) == len(labels)
     areas = []
     for label, anchor in zip(labels, anchors, strict=True):
         (pixel,), (depth,) = view.project(label.place[None])
         if depth > 0 and np.all((pixel >= 0) & (pixel <= (view.width, view.height))) and anchor is not None:
-            areas.append(area_of(label.text, pixel, anchor))
+            areas.append(area_of(label.text, pixel, anchor, view.density))
     for number, area in enumerate(areas):
         assert np.all(area >= 0)
         assert area[2] <= view.width
@@ -125,7 +131,11 @@ def test_the_scale_bar_is_as_long_as_it_says(px_per_m: float) -> None:
     length_mm, unit = bar.text.split()
     assert unit == "mm"
     assert bar.width_px == pytest.approx(float(length_mm) / 1000 * px_per_m, rel=1e-5)
-    assert bar.text in scale_bar_html(bar)
+    html = scale_bar_html(bar, 900)
+    assert bar.text in html
+    share = re.search(r"width: ([\d.]+)vh", html)  # of the page's height, whatever its pixels are
+    assert share is not None
+    assert float(share[1]) / 100 * 900 == pytest.approx(bar.width_px, abs=0.01)
 
 
 def test_a_turn_goes_round_about_the_upright_axis() -> None:
