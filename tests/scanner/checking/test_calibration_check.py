@@ -9,7 +9,7 @@ import pytest
 from calib.geometry import Calibration, Pose, rotation_about
 from calib.synthetic import random_captures
 from scanner.checking.calibration_check import check_calibration, config_of
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.io import write_calibration, write_matches
 from scanner.ui import Terminal
 
