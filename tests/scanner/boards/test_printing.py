@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from scanner.boards.printing import draw_target
-from scanner.targets import Target
+from scanner.targets import TAG_SPACING, Target
 
 
 @pytest.mark.parametrize("kind", ["circles", "acircles"])
@@ -26,3 +26,19 @@ def test_dots_are_drawn_around_the_points_of_the_board(kind: str, side_px: int) 
     truth = (target.points - middle) / target.square * side_px + drawn.middle_px
     apart = np.linalg.norm(np.array(found)[:, None] - truth[None], axis=2).min(axis=1)
     assert apart.max() < 0.1
+
+
+def test_tags_are_drawn_in_order_at_the_points_of_the_board() -> None:
+    """OpenCV finds each by its number, and its corners at true distances."""
+    target, side_px = Target("aprilgrid", 4, 3, 20.0), 40
+    drawn = draw_target(target, side_px)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(drawn.image)
+    assert sorted(numbers.ravel().tolist()) == list(range(12))
+    step = round((1 + TAG_SPACING) * side_px)
+    size_px = np.array([3, 2]) * step + side_px
+    for number, found in zip(numbers.ravel().tolist(), corners, strict=True):
+        row, column = divmod(number, 4)
+        place = np.array([column, row]) * step + (side_px - size_px) / 2 + drawn.middle_px
+        np.testing.assert_allclose(found[0].mean(axis=0), place, atol=1.0)
+        assert np.ptp(found[0], axis=0) == pytest.approx([side_px - 1, side_px - 1], abs=1.5)

@@ -1,11 +1,15 @@
 """Picking points and measuring, compared with the scene of the cloud."""
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
+from calib.geometry import Calibration
 from scanner.configuration import ScaleSettings
-from scanner.measuring import PointNumber
-from scanner.viewing.picking import Picked, point_at
+from scanner.measuring import DistanceMeasurement, PointNumber
+from scanner.viewing.picking import Picked, point_at, scale_from
 from scanner.viewing.result import CaptureCloud
 from tests.support.result_folder import Written
 
@@ -25,6 +29,19 @@ def test_a_ray_through_a_point_picks_it(cloud: CaptureCloud) -> None:
 def test_a_ray_past_all_points_picks_nothing(cloud: CaptureCloud) -> None:
     assert point_at(cloud.points, np.zeros(3), np.array([0.0, 0.0, -1.0])) is None
     assert point_at(cloud.points[:0], np.zeros(3), np.array([0.0, 0.0, 1.0])) is None
+
+
+def test_the_uncertainty_of_the_old_scale_is_no_part_of_the_new_one() -> None:
+    """Of 0.05 on a distance of 2 are 0.04 of the scale: 0.03 is left, 1.5 %; with 2 % of the known length, 2.5 %."""
+    budget = SimpleNamespace(sigma=0.05, scale=0.04)
+    distance = cast(DistanceMeasurement, SimpleNamespace(distance=2.0, budget=budget))
+    calibration = cast(Calibration, SimpleNamespace(baseline=0.8))
+    exact, known = (scale_from(distance, calibration, 1.5, sigma_m) for sigma_m in (0.0, 0.03))
+    assert exact is not None
+    assert known is not None
+    assert exact.baseline_m == known.baseline_m == pytest.approx(0.6)
+    assert exact.sigma_m == pytest.approx(0.015 * 0.6)
+    assert known.sigma_m == pytest.approx(0.025 * 0.6)
 
 
 def picked_points(cloud: CaptureCloud, *numbers: int) -> Picked:
