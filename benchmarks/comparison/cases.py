@@ -166,6 +166,9 @@ _AFTERWARDS = {
     "accept": Case("accept old/scan-balls/out --out out --ball-bar 240mm,240mm,500mm"),
     "compare": Case("compare old/scan/out old/scan-square/out --out out"),
     "export-refused": Case("export old/scan-refused/out --to ply --out cloud.ply", 2),
+    "clean": Case("clean old/scan-balls/out"),
+    "clean-refused": Case("clean old/scan-balls/out --box=90,90,90,91,91,91", 2),
+    "section": Case("section old/scan-balls/out --plane y=0 --every 0.1 --out out"),
     "new": Case("new my-rig.yaml"),
     "help": Case("--help"),
 } | {

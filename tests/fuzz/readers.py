@@ -207,6 +207,34 @@ def network(folder: Path) -> Run:
     return guarded(read)
 
 
+def steps(folder: Path) -> Run:
+    """`steps.yaml`, and the steps on a cloud."""
+    from scanner.cleaning import read_cleaned
+    from tests.support.result_folder import write_result
+
+    write_result(folder / "room", keep=lambda pixel: np.all(pixel % 6 == 0, axis=1))
+    box = "-1,-1,0,1,1,3"
+    seed = {
+        "steps": [
+            {"box": box},
+            {"outliers": 2.5},
+            {"pieces": "5cm"},
+            {"smooth": True},
+            {"floor": True},
+            {"axes": "0,0,0,1,0,0,0,1,0"},
+            {"box": f"{box},0,0,0,1,0,0,0,1,0"},
+            {"fill": 0.05},
+            {"triangles": 500},
+        ]
+    }
+
+    def read(rng: Random) -> None:
+        (folder / "room" / "steps.yaml").write_bytes(of_yaml(seed, rng))
+        read_cleaned(folder / "room").cloud()
+
+    return guarded(read)
+
+
 def imports(folder: Path) -> Run:
     """Folders of other programs: file names, and the files beside the frames."""
     from scanner.importing import LAYOUTS, find_frames

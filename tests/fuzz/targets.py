@@ -16,6 +16,7 @@ _MADE_IN = (
     *(
         readers.room,
         readers.network,
+        readers.steps,
         readers.imports,
         pictures.masks,
         pictures.photos,
