@@ -4,6 +4,7 @@ Opens `scan console` on the simulated rig in a real browser, and the result in i
 """
 
 import argparse
+import re
 import shutil
 import signal
 import subprocess
@@ -21,7 +22,7 @@ _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 _SIZE = {"width": 1500, "height": 900}
 _PATIENCE_MS = 120_000
-_SETTLING_MS = 8_000  # in software a frame takes seconds
+_SETTLING_MS = 25_000  # in software a frame takes seconds
 _LEVELS = 40  # of a colour: photographs and point clouds need no more, and the file is half as large
 
 
@@ -30,7 +31,7 @@ def photograph(page: Page) -> np.ndarray:
     expect(page.get_by_alt_text("what the camera sees")).to_be_visible(timeout=_PATIENCE_MS)
     page.locator(".mantine-Notification-closeButton").dispatch_event("click")  # that this browser draws in software
     page.get_by_role("button", name="History", exact=True).click()
-    page.get_by_role("button", name="Open", exact=True).click()
+    page.get_by_role("button", name=re.compile("^Open ")).click()
     expect(page.get_by_text("Points, %")).to_be_visible(timeout=_PATIENCE_MS)
     page.wait_for_timeout(_SETTLING_MS)
     return cv2.imdecode(np.frombuffer(page.screenshot(timeout=_PATIENCE_MS), np.uint8), cv2.IMREAD_COLOR)
