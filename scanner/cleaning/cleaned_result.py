@@ -65,6 +65,8 @@ class CleanedResult:
     """X = axes @ X_result, z up; None for the result's own axes."""
     joint: FinishedResult
     """That of all captures, in whose frame the steps are."""
+    worked: tuple[WorkedCloud, ...] = ()
+    """Of a single capture, what `clouds` gives; otherwise nothing."""
 
     @property
     def unit(self) -> str:
@@ -105,6 +107,8 @@ class CleanedResult:
 
     def clouds(self) -> list[WorkedCloud]:
         """The joint cloud, and what each step leaves of it. Raises InputError."""
+        if self.worked:
+            return [*self.worked]
         cloud, place = read_cloud(self.whole.cloud), IDENTITY
         alone = self.whole.listing is None and len(self.whole.stations) == 1
         if alone:
@@ -147,18 +151,20 @@ def read_cleaned(
     if not steps or not whole.stations:
         cleaned = CleanedResult(whole, whole.stations, steps, None, joint)
         return replace(cleaned, axes=cleaned.clouds()[-1].frame) if changes_axes else cleaned
-    stations, frame = _cleaned(whole, joint, steps)
+    stations, clouds = _cleaned(whole, joint, steps)
+    # The points of a single capture are those of its cloud.
+    worked = tuple(clouds) if joint is whole and whole.listing is None else ()
     if changes_axes:
-        return CleanedResult(whole, stations, steps, frame, joint)
+        return CleanedResult(whole, stations, steps, clouds[-1].frame, joint, worked)
     own = {station.folder: station.place for station in whole.stations}
     stations = tuple(replace(station, place=own[station.folder]) for station in stations)
-    return CleanedResult(whole, stations, steps, None, joint)
+    return CleanedResult(whole, stations, steps, None, joint, worked)
 
 
 def _cleaned(
     whole: FinishedResult, joint: FinishedResult, steps: Sequence[CloudStep]
-) -> tuple[tuple[PlacedScan, ...], Pose]:
-    """The scans of a result that have points after the steps, in their axes, and these from the joint result's."""
+) -> tuple[tuple[PlacedScan, ...], list[WorkedCloud]]:
+    """The scans of a result that have points after the steps, in their axes; all points, and what each step leaves."""
     wanted = {station.folder for station in whole.stations}
     stations = [station for station in joint.stations if station.folder in wanted]
     scans = [station.scan for station in stations]
@@ -166,7 +172,9 @@ def _cleaned(
     points = np.concatenate([place @ scan.points for place, scan in placed])
     normals = np.concatenate([place.rotate(scan.normals) for place, scan in placed])
     covariances = _covariances(scans[0], stations[0].place) if len(scans) == 1 else None
-    last = do_steps(_start(joint, points, normals, covariances), steps)[-1]
+    begun = _start(joint, points, normals, covariances)
+    clouds = [begun, *do_steps(begun, steps)]
+    last = clouds[-1]
     ends = np.cumsum([0, *map(len, scans)])
     kept = []
     for station, start, end in zip(stations, ends, ends[1:], strict=False):
@@ -175,7 +183,7 @@ def _cleaned(
             place = last.frame @ station.place
             moved = place.inverse() @ last.points[own] if last.moved else None
             kept.append(replace(station, place=place, kept=KeptPoints(last.number[own] - start, moved)))
-    return tuple(kept), last.frame
+    return tuple(kept), clouds
 
 
 Covariances = Callable[[Ints], Floats]

@@ -9,6 +9,7 @@ import viser
 
 from calib.numerics import Floats
 from scanner.results import NETWORK_FILE, Verdict, verdict_of
+from scanner.viewing.buttons import PLAIN
 from scanner.viewing.clicking import Clicking, SetScale
 from scanner.viewing.colouring import Colouring
 from scanner.viewing.crop import Box, whole
@@ -20,7 +21,7 @@ from scanner.viewing.result import ViewedCloud, ViewedResult
 from scanner.viewing.scene import CloudScene
 from scanner.viewing.stepping import keep_box, take_back
 from scanner.viewing.texts import calibration_text, corner_text, escaped, notes_text, verdict_text
-from scanner.viewing.view_controls import PLAIN, ViewControls, failures_shown
+from scanner.viewing.view_controls import ViewControls, failures_shown
 
 LinkTo = Callable[[Path], str]
 Show = Callable[["ResultPanel"], None]
