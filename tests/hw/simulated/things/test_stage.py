@@ -8,7 +8,7 @@ import pytest
 
 from calib.geometry import IDENTITY
 from hw.settings import ThingSettings
-from hw.simulated.device import PlacedDevice
+from hw.simulated import PlacedDevice
 from hw.simulated.things import Solid, TurntableScene
 
 HALF_M = 0.05
