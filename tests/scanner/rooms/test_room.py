@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Pose
 from calib.numerics import Floats
+from scanner.configuration import CloudStep
 from scanner.exporting import FORMATS, ExportRequest
 from scanner.io import read_calibration, read_cloud
-from scanner.results import read_joined
+from scanner.results import read_joined, write_steps
 from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.verdict import verdict_on
 from scanner.viewing import ViewedResult
@@ -195,3 +196,25 @@ def test_a_room_without_pixels_to_measure(example: SolvedExample, capsys: pytest
     for words, message in (("7:3", "1 to 4, found 7"), ("a:3", "found 'a:3' '9'")):
         assert run("measure", example.out, "--distance", words, "9", "20", "20") == 2
         assert message in capsys.readouterr().err
+
+
+def test_steps_are_in_the_exports_of_a_room(example: SolvedExample, tmp_path: Path) -> None:
+    """A box, in the room's axes, of cloud and mesh, whose points are in the room's axes in STL, too."""
+    points = read_cloud(example.out / "room.ply").points
+    low, high = np.quantile(points, 0.2, axis=0), np.quantile(points, 0.8, axis=0)
+    low[2], high[2] = points[:, 2].min() - 1, points[:, 2].max() + 1
+    write_steps(example.out, [CloudStep(box=",".join(f"{value:.6f}" for value in (*low, *high)))])
+    try:
+        FORMATS["ply"].write(ExportRequest(example.out, tmp_path / "room.ply"))
+        FORMATS["stl"].write(ExportRequest(example.out, tmp_path / "room.stl"))
+        FORMATS["mesh"].write(ExportRequest(example.out, tmp_path / "room.glb"))
+    finally:
+        write_steps(example.out, [])
+    cut = read_cloud(tmp_path / "room.ply").points
+    inside = np.all((points >= low - 1e-5) & (points <= high + 1e-5), axis=1)
+    assert 100 < len(cut) <= inside.sum() < len(points)
+    corners = np.asarray(trimesh.load(tmp_path / "room.stl").vertices) / 1000
+    assert len(corners) > 100
+    assert np.all((corners >= low - 1e-4) & (corners <= high + 1e-4))
+    (mesh,) = trimesh.load(tmp_path / "room.glb", process=False).geometry.values()
+    assert np.ptp(np.asarray(mesh.visual.vertex_attributes["color"], np.float64)[:, :3]) > 2000  # of 65535
