@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import ezdxf
 import numpy as np
@@ -213,8 +214,13 @@ def test_steps_are_in_the_exports_of_a_room(example: SolvedExample, tmp_path: Pa
     cut = read_cloud(tmp_path / "room.ply").points
     inside = np.all((points >= low - 1e-5) & (points <= high + 1e-5), axis=1)
     assert 100 < len(cut) <= inside.sum() < len(points)
-    corners = np.asarray(trimesh.load(tmp_path / "room.stl").vertices) / 1000
+    stl: Any = trimesh.load(tmp_path / "room.stl")
+    corners = np.asarray(stl.vertices) / 1000
     assert len(corners) > 100
     assert np.all((corners >= low - 1e-4) & (corners <= high + 1e-4))
-    (mesh,) = trimesh.load(tmp_path / "room.glb", process=False).geometry.values()
-    assert np.ptp(np.asarray(mesh.visual.vertex_attributes["color"], np.float64)[:, :3]) > 2000  # of 65535
+    glb: Any = trimesh.load(tmp_path / "room.glb", process=False)
+    (mesh,) = glb.geometry.values()
+    linear = np.asarray(mesh.visual.vertex_attributes["color"], np.float64)[:, :3] / 65535
+    encoded = np.rint(255 * (1.055 * linear ** (1 / 2.4) - 0.055)).astype(int)
+    shades = read_cloud(tmp_path / "room.ply").colours
+    assert shades.min() <= encoded.min() <= encoded.max() <= shades.max()  # the cloud's colours, without its pictures
