@@ -20,15 +20,14 @@ import numpy as np
 
 from calib.numerics import Floats
 from calib.refusal import RefusalError
-from calib.scene import calibrate_scene
-from calib.self_calibration import PrincipalPoint
+from scanner.objects import rig_from_object
+from scanner.ui import Terminal
 
 sys.path.append(str(Path(__file__).parents[1]))
-from tests.support.things import PROJECTOR, ThingStation, thing_stations, true_rig, turned_stations
+from tests.support.things import ThingStation, config_for, decoded, thing_stations, true_rig, turned_stations
 
 _CAMERA = (612, 512)
 _TIPPED = 5  # a step at which the simulated turntable tips
-_CENTRE = PrincipalPoint(((_CAMERA[0] - 1) / 2, (_CAMERA[1] - 1) / 2), 0.03 * _CAMERA[0])
 
 
 def main() -> None:
@@ -46,24 +45,24 @@ def main() -> None:
         stations = _stations(args.how, args.stations, seed, args.gloss)
         began = time.process_time()
         try:
-            found = calibrate_scene(
-                [(station.matches, station.picture) for station in stations],
-                _CAMERA,
-                PROJECTOR,
-                principal_point=_CENTRE,
+            start = rig_from_object(
+                decoded(stations, _CAMERA, pictures=True), config_for(_CAMERA), Terminal(quiet=True)
             )
         except RefusalError as refusal:
             print(f"{seed:5d}  refused: {refusal.reason}")
             continue
         seconds = time.process_time() - began
-        error = found.uncertainty.rig.step_to(true_rig(stations[0].calibration))
-        sigma = np.sqrt(np.diag(found.uncertainty.covariance))
+        uncertainty, finding = start.uncertainty, start.findings[0]
+        assert uncertainty is not None
+        error = uncertainty.rig.step_to(true_rig(stations[0].calibration))
+        sigma = np.sqrt(np.diag(uncertainty.covariance))
         ratios.append(error / sigma)
         focals += np.abs(error[[0, 8]]).tolist()
         focal, spread, (x_c, y_c, x_p, y_p) = 100 * error[[0, 8]], 100 * sigma[[0, 8]], error[[1, 2, 9, 10]]
         print(
-            f"{seed:5d}  {len(found.stations):8d}  {found.points:6d}  {focal[0]:+.3f}  {focal[1]:+.3f}  "
-            f"{spread[0]:.3f}, {spread[1]:.3f}  {x_c:+6.2f}, {y_c:+6.2f}  {x_p:+6.2f}, {y_p:+6.2f}  "
+            f"{seed:5d}  {finding.data['captures']:8.0f}  {finding.data['points']:6.0f}  "
+            f"{focal[0]:+.3f}  {focal[1]:+.3f}  {spread[0]:.3f}, {spread[1]:.3f}  "
+            f"{x_c:+6.2f}, {y_c:+6.2f}  {x_p:+6.2f}, {y_p:+6.2f}  "
             f"{np.sqrt(np.mean(ratios[-1] ** 2)):11.2f}  {seconds:7.1f}",
             flush=True,
         )

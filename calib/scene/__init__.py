@@ -2,10 +2,10 @@
 
 from calib.scene.calibrate import (
     BY_SCENE,
-    FEWEST_STATIONS,
     ONE_AXIS,
     TOO_FEW_STATIONS,
     SceneCalibration,
     calibrate_scene,
     recalibrate_scene,
 )
+from calib.scene.problem import FEWEST_STATIONS

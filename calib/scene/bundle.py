@@ -6,7 +6,7 @@ tell how far the rays of both devices pass each other (Hartley & Zisserman, 2nd 
 eliminated from the normal equations (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -110,6 +110,14 @@ class Scene:
     def size(self) -> int:
         """Columns without those of points: the rig's, and those of all stations but the first."""
         return SHARED + PER_POSE * (len(self.stations) - 1)
+
+    def of_stations(self, which: Sequence[int]) -> "Scene":
+        """The scene of some of the stations, in the frame of the first of them."""
+        if not which:
+            return self
+        first = self.stations[which[0]]
+        back = first.inverse()
+        return Scene(self.rig, tuple(self.stations[k] @ back for k in which), first @ self.points)
 
     def moved(self, step: Floats, by_points: Floats) -> "Scene":
         """After a step (size,) and one of the points (N, 3)."""

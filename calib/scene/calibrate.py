@@ -21,7 +21,7 @@ from calib.refinement import (
 )
 from calib.refusal import RefusalError
 from calib.scene.bundle import NOTHING_OBSERVED, Scene, SceneFit
-from calib.scene.problem import FEWEST_POINTS, SceneProblem, sharpened
+from calib.scene.problem import FEWEST_POINTS, FEWEST_STATIONS, SceneProblem, sharpened
 from calib.scene.start import SceneStart, starts_of, with_motions
 from calib.scene.tracks import observe, placed_stations
 from calib.scene.views import SceneView, StationView, matched_pairs, some_matches, views_of, with_keypoints
@@ -31,7 +31,6 @@ _TRIALS = 3  # distinct starts that are followed
 _SAME_FOCAL = 0.1  # relative difference below which two trials are one
 _MATCHES = 600  # of each station, beside keypoints
 _FOLLOWED = 2  # times that a better rig tells which keypoints agree
-FEWEST_STATIONS = 3
 _ONE_AXIS_DEG = 3.0  # rotations that turn by less about all other axes leave a coordinate open
 _MOST_FOCAL = 0.015  # relative sigma of a focal length
 _AMBIGUOUS_NATS, _DIFFERENT, _SAME_SOLUTION = 8.0, 0.03, 0.005
@@ -145,12 +144,13 @@ def calibrate_scene(
     sharp = sharpened(solution.problem, solution.fit.scene, [views[k] for k in solution.places])
     if sharp is None:
         raise _nothing_common(len(solution.fit.scene.points), len(solution.places), len(captures))
-    problem, fit = sharp
+    problem, fit = sharp.problem, sharp.fit
+    places = tuple(solution.places[k] for k in sharp.members)
     if not provisional:
         _refuse_apart(problem)
         _refuse_undetermined(problem, fit)
     _refuse_ambiguous(solution, solved)
-    return _concluded(problem, fit, solution.places, (camera_size, projector_size))
+    return _concluded(problem, fit, places, (camera_size, projector_size))
 
 
 def recalibrate_scene(
@@ -177,9 +177,9 @@ def recalibrate_scene(
     sharp = sharpened(begun, scene, views)
     if sharp is None:
         raise _nothing_common(0, 0, len(captures))
-    _refuse_apart(sharp[0])
-    _refuse_undetermined(*sharp)
-    return _concluded(*sharp, tuple(range(len(captures))), start.sizes)
+    _refuse_apart(sharp.problem)
+    _refuse_undetermined(sharp.problem, sharp.fit)
+    return _concluded(sharp.problem, sharp.fit, sharp.members, start.sizes)
 
 
 def _moving(captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, int]) -> list[StationView]:

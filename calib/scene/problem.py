@@ -12,11 +12,12 @@ from calib.scene.alignment import align
 from calib.scene.bundle import Observations, Scene, SceneFit, Spread, adjust, scores
 from calib.scene.views import WINDOW_PIXELS, StationView
 
-FEWEST_POINTS = 20
+FEWEST_STATIONS, FEWEST_POINTS = 3, 20
 _ANNEALING, _STEPS = (20.0, 5.0, 1.0), 20  # factors on the first guess of the spread, steps with each
 _GUESS = Spread(0.5, 1.0, 1.0)
 _SHARPENED = _ANNEALING, (1.0,)  # each time that pictures and surfaces are aligned
 _ROUNDS = 3  # of measuring the spread
+_LEAST_SHARE = 0.5  # of the usual share of observations that are no outliers, of a station in its place
 _OUTLYING = 4.0  # sigmas, of an observation that is left out
 
 
@@ -90,29 +91,53 @@ class SceneProblem:
         )
 
 
-def sharpened(
-    problem: SceneProblem, scene: Scene, views: Sequence[StationView]
-) -> tuple[SceneProblem, SceneFit] | None:
-    """The problem of what the stations of a scene share, seen again under each better scene, and its solution.
+@dataclass(frozen=True, eq=False)
+class Sharpened:
+    """The problem of what stations share once they are aligned, with its solution."""
 
-    `views`: of the stations. None where too little is shared.
+    problem: SceneProblem
+    fit: SceneFit
+    members: tuple[int, ...]
+    """The stations that belong to the scene, by their numbers among those that were given."""
+
+
+def sharpened(problem: SceneProblem, scene: Scene, views: Sequence[StationView]) -> Sharpened | None:
+    """The problem of what the stations of a scene share, seen again under each better scene.
+
+    `views`: of the stations. Those of which little fits, because they were placed wrongly, are left out. None where too
+    little is shared.
     """
+    members = tuple(range(len(views)))
     solution = None
     for factors in _SHARPENED:
-        observations, points = align(scene, views)
-        if len(points) < FEWEST_POINTS:
-            break
-        sharper = replace(
-            problem,
-            start=replace(scene, points=points),
-            observations=observations,
-            spread=Spread(1.0, 1.0, problem.spread.matches),
-        )
-        sharper, sharp = sharper.refined(sharper.solve(factors))
-        if len(sharp.scene.points) < FEWEST_POINTS:
-            break
-        scene, solution = sharp.scene, (sharper, sharp)
+        while True:
+            observations, points = align(scene, [views[k] for k in members])
+            if len(members) < FEWEST_STATIONS or len(points) < FEWEST_POINTS:
+                return solution
+            sharper = replace(
+                problem,
+                start=replace(scene, points=points),
+                observations=observations,
+                spread=Spread(1.0, 1.0, problem.spread.matches),
+            )
+            sharper, sharp = sharper.refined(sharper.solve(factors))
+            if len(sharp.scene.points) < FEWEST_POINTS:
+                return solution
+            fitting = _fitting(observations, sharper.observations, len(members))
+            scene = sharp.scene.of_stations(fitting)
+            if len(fitting) == len(members):
+                break
+            members = tuple(members[k] for k in fitting)
+        solution = Sharpened(sharper, sharp, members)
     return solution
+
+
+def _fitting(observations: Observations, kept: Observations, stations: int) -> list[int]:
+    """The stations most of whose observations are no outliers."""
+    before, after = (np.bincount(some.station, minlength=stations) for some in (observations, kept))
+    share = after / np.maximum(before, 1)
+    fits = (after >= FEWEST_POINTS) & (share > _LEAST_SHARE * np.median(share))
+    return np.flatnonzero(fits).tolist()
 
 
 def _places(scene: Scene) -> Ints:
