@@ -17,8 +17,8 @@ from calib.geometry import Pose, depths_of_rays
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Bools, Floats, Floats32, Ints, at_random
 from calib.refinement import State
-from calib.scene.bundle import ANYWHERE_PX, CHOSEN_PX, NOTHING_OBSERVED, Observations, Scene
-from calib.scene.views import WINDOW_PIXELS, Lifted, StationView, lift
+from calib.scene.bundle import ANYWHERE_PX, CHOSEN_PX, NOTHING_OBSERVED, RigidScene, SceneObservations
+from calib.scene.views import WINDOW_PIXELS, Lifted, MatchedView, lift
 
 _CORNERS, _QUALITY, _APART_PX = 200, 0.003, 6.0  # of a picture: how many, least share of the best, distance
 _HALF = 7  # pixels around a corner that are compared
@@ -64,7 +64,7 @@ class _Projected:
         return len(self.number)
 
 
-def align(scene: Scene, views: Sequence[StationView]) -> tuple[Observations, Floats]:
+def align(scene: RigidScene, views: Sequence[MatchedView]) -> tuple[SceneObservations, Floats]:
     """Observations of points that stations share, under a scene that is nearly right, and the points (N, 3) in the
     first station's frame. `views`: those of the scene's stations.
     """
@@ -72,7 +72,7 @@ def align(scene: Scene, views: Sequence[StationView]) -> tuple[Observations, Flo
     is_free = [_inside(view) for view in views]
     pieces, points = [NOTHING_OBSERVED], [np.zeros((0, 3))]
 
-    def add(number: int, patches: _Patches, seen: Observations) -> None:
+    def add(number: int, patches: _Patches, seen: SceneObservations) -> None:
         chosen, point = np.unique(seen.point, return_inverse=True)
         pieces.append(replace(seen, point=point + sum(map(len, points))))
         points.append(scene.stations[number].inverse() @ patches.points[chosen])
@@ -92,12 +92,12 @@ def align(scene: Scene, views: Sequence[StationView]) -> tuple[Observations, Flo
 
 
 def _tracked(
-    scene: Scene,
-    views: Sequence[StationView],
+    scene: RigidScene,
+    views: Sequence[MatchedView],
     number: int,
     patches: _Patches,
     pictures: Sequence[Floats32] | None,
-) -> Observations:
+) -> SceneObservations:
     """Patches of a station in the others: aligned in their pictures or, without these, where the surface is.
 
     Ordered by `point`, the patch's number. Those that no other station sees are left out.
@@ -130,18 +130,18 @@ def _tracked(
     return tracks[np.argsort(tracks.point, kind="stable")]
 
 
-def _observations(point: Ints, station: int, pixels: Floats, lifted: Lifted, sigma: Floats) -> Observations:
+def _observations(point: Ints, station: int, pixels: Floats, lifted: Lifted, sigma: Floats) -> SceneObservations:
     stations = np.full(len(point), station)
-    return Observations(point, stations, pixels, lifted.projector_px, lifted.slope, lifted.sigma_px, sigma)
+    return SceneObservations(point, stations, pixels, lifted.projector_px, lifted.slope, lifted.sigma_px, sigma)
 
 
-def _joined(pieces: Sequence[Observations]) -> Observations:
-    return Observations(
-        *(np.concatenate([getattr(piece, field.name) for piece in pieces]) for field in fields(Observations))
+def _joined(pieces: Sequence[SceneObservations]) -> SceneObservations:
+    return SceneObservations(
+        *(np.concatenate([getattr(piece, field.name) for piece in pieces]) for field in fields(SceneObservations))
     )
 
 
-def _inside(view: StationView) -> Bools:
+def _inside(view: MatchedView) -> Bools:
     """Pixels around which all others have matches, (H, W)."""
     known = np.isfinite(view.places[..., 0]).astype(np.uint8)
     inside = cv2.erode(known, np.ones((2 * _HALF + 1,) * 2, np.uint8), borderValue=0)
@@ -160,7 +160,7 @@ def _corners(brightness: NDArray[np.uint8], mask: Bools) -> Floats:
     return np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
 
 
-def _flat_patches(rig: State, view: StationView, inside: Bools, stations: int) -> _Patches:
+def _flat_patches(rig: State, view: MatchedView, inside: Bools, stations: int) -> _Patches:
     """Some of a view's surface, where it is flat."""
     row, column = np.nonzero(inside)
     some = at_random(len(row), int(_OVERLAP * len(row) / (WINDOW_PIXELS * stations)) + 1)
@@ -175,7 +175,7 @@ def _is_flat(lifted: Lifted) -> Bools:
     return lifted.is_smooth & (lifted.bend < _MOST_BEND * usual)
 
 
-def _patches(rig: State, view: StationView, pixels: Floats) -> _Patches:
+def _patches(rig: State, view: MatchedView, pixels: Floats) -> _Patches:
     lifted = lift(view.places, pixels)
     steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     here, right, down = (_points(rig, pixels + step, lifted.projector_px + lifted.slope @ step) for step in steps)
@@ -195,7 +195,7 @@ def _points(rig: State, camera_px: Floats, projector_px: Floats) -> Floats:
     return np.asarray(depth * rays, np.float64)
 
 
-def _projected(rig: State, motion: Pose, patches: _Patches, view: StationView) -> _Projected:
+def _projected(rig: State, motion: Pose, patches: _Patches, view: MatchedView) -> _Projected:
     """Patches as another station sees them, without hidden ones; `motion`: X_other = R X + t."""
     places = motion @ patches.points
     ahead = places[:, 2] > 0

@@ -27,7 +27,7 @@ CHOSEN_PX, ANYWHERE_PX = 1e-3, 1e4  # sigma of a place in a picture that was cho
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
+class SceneObservations:
     """Points of the scene in the pictures."""
 
     point: Ints
@@ -43,11 +43,11 @@ class Observations:
     sigma_px: Floats
     """(M,): standard deviation of each coordinate of `projector_px`, for a given camera pixel."""
     keypoint_px: Floats
-    """(M,): standard deviation of each coordinate of `camera_px`, before `Spread.keypoint`. A point of a surface has
-    `CHOSEN_PX` where it was chosen, and `ANYWHERE_PX` where only the surface is known to contain it."""
+    """(M,): standard deviation of each coordinate of `camera_px`, before `ErrorScales.keypoint`. A point of a surface
+    has `CHOSEN_PX` where it was chosen, and `ANYWHERE_PX` where only the surface is known to contain it."""
 
-    def __getitem__(self, kept: Bools | Ints) -> "Observations":
-        return Observations(*(getattr(self, field.name)[kept] for field in fields(self)))
+    def __getitem__(self, kept: Bools | Ints) -> "SceneObservations":
+        return SceneObservations(*(getattr(self, field.name)[kept] for field in fields(self)))
 
     @property
     def is_located(self) -> Bools:
@@ -67,7 +67,7 @@ class Observations:
         return np.asarray(np.add.reduceat(values, starts, axis=0), np.float64)
 
 
-NOTHING_OBSERVED = Observations(
+NOTHING_OBSERVED = SceneObservations(
     np.zeros(0, np.int64),
     np.zeros(0, np.int64),
     np.zeros((0, 2)),
@@ -79,27 +79,29 @@ NOTHING_OBSERVED = Observations(
 
 
 @dataclass(frozen=True)
-class Spread:
+class ErrorScales:
     """Factors on the standard deviations: of keypoints, of their projector pixels, and of all matches."""
 
     keypoint: float
     lifted: float
     matches: float
 
-    def times(self, factor: float) -> "Spread":
+    def times(self, factor: float) -> "ErrorScales":
         """All of them multiplied."""
-        return Spread(factor * self.keypoint, factor * self.lifted, factor * self.matches)
+        return ErrorScales(factor * self.keypoint, factor * self.lifted, factor * self.matches)
 
-    def grown(self, observed: Floats, matches: float) -> "Spread":
+    def grown(self, observed: Floats, matches: float) -> "ErrorScales":
         """Those of keypoints and of their projector pixels multiplied by `observed` (2,), that of all matches, which
         stays above a thousandth, by its own factor.
         """
         keypoint, lifted = observed
-        return Spread(float(self.keypoint * keypoint), float(self.lifted * lifted), max(self.matches * matches, 1e-3))
+        return ErrorScales(
+            float(self.keypoint * keypoint), float(self.lifted * lifted), max(self.matches * matches, 1e-3)
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class RigidScene:
     """What is estimated: the rig, each station's motion X_station = R X_first + t, and points (N, 3) of the first."""
 
     rig: State
@@ -111,21 +113,21 @@ class Scene:
         """Columns without those of points: the rig's, and those of all stations but the first."""
         return SHARED + PER_POSE * (len(self.stations) - 1)
 
-    def of_stations(self, which: Sequence[int]) -> "Scene":
+    def of_stations(self, which: Sequence[int]) -> "RigidScene":
         """The scene of some of the stations, in the frame of the first of them."""
         if not which:
             return self
         first = self.stations[which[0]]
         back = first.inverse()
-        return Scene(self.rig, tuple(self.stations[k] @ back for k in which), first @ self.points)
+        return RigidScene(self.rig, tuple(self.stations[k] @ back for k in which), first @ self.points)
 
-    def moved(self, step: Floats, by_points: Floats) -> "Scene":
+    def moved(self, step: Floats, by_points: Floats) -> "RigidScene":
         """After a step (size,) and one of the points (N, 3)."""
         stations = [
             pose.retract(step[SHARED + PER_POSE * k : SHARED + PER_POSE * (k + 1)], 1.0)
             for k, pose in enumerate(self.stations[1:])
         ]
-        return Scene(self.rig.moved(step[:SHARED]), (self.stations[0], *stations), self.points + by_points)
+        return RigidScene(self.rig.moved(step[:SHARED]), (self.stations[0], *stations), self.points + by_points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,14 +137,16 @@ class SceneFit(Quadratic):
     `residual` (M, 4) of observations and `miss_px` (L,) of matches from their epipolar lines, both in sigmas.
     """
 
-    scene: Scene
+    scene: RigidScene
     residual: Floats
     miss: Floats
     by_points: tuple[Floats, Floats]
     """To solve for points: their own step (N, 3), and what a step of the columns changes of it (N, 3, size)."""
 
 
-def evaluate(scene: Scene, observations: Observations, matches: Matches, spread: Spread, prior: Prior) -> SceneFit:
+def evaluate(
+    scene: RigidScene, observations: SceneObservations, matches: Matches, spread: ErrorScales, prior: Prior
+) -> SceneFit:
     """The cost of a scene with its derivatives, points eliminated."""
     size = scene.size
     values, pull, curvature = prior.misfit(scene.rig.additive())
@@ -173,7 +177,12 @@ def evaluate(scene: Scene, observations: Observations, matches: Matches, spread:
 
 
 def adjust(
-    scene: Scene, observations: Observations, matches: Matches, spread: Spread, prior: Prior, steps: int = _STEPS
+    scene: RigidScene,
+    observations: SceneObservations,
+    matches: Matches,
+    spread: ErrorScales,
+    prior: Prior,
+    steps: int = _STEPS,
 ) -> SceneFit:
     """The most likely scene near one."""
     free = np.concatenate([np.flatnonzero(prior.free[:SHARED]), np.arange(SHARED, scene.size)])
@@ -194,7 +203,9 @@ def adjust(
     )
 
 
-def scores(scene: Scene, observations: Observations, matches: Matches, spread: Spread) -> tuple[Floats, Floats]:
+def scores(
+    scene: RigidScene, observations: SceneObservations, matches: Matches, spread: ErrorScales
+) -> tuple[Floats, Floats]:
     """Half the gradient of the cost of each point (N, size), and of each match (L, 21), at a minimum."""
     residuals = _observed(scene, observations, spread)
     own, pull_on_points, mixed = residuals.by_points(observations, scene.size)
@@ -229,7 +240,7 @@ class _Residuals:
         """Huber's, (M, 4)."""
         return np.repeat(huber_weights(self.lengths, _ROBUST), 2, axis=1)
 
-    def by_columns(self, observations: Observations, size: int) -> tuple[Floats, Floats]:
+    def by_columns(self, observations: SceneObservations, size: int) -> tuple[Floats, Floats]:
         """Half the gradient (size,) and half the curvature (size, size) by the columns."""
         pull, curvature = np.zeros(size), np.zeros((size, size))
         pulls = self.pulls(observations, size)
@@ -244,7 +255,7 @@ class _Residuals:
                 curvature[columns, columns] = (station * self.weight[own].reshape(-1, 1)).T @ station
         return pull, curvature
 
-    def pulls(self, observations: Observations, size: int) -> Floats:
+    def pulls(self, observations: SceneObservations, size: int) -> Floats:
         """Half the gradient (N, size) by the columns, of each point's observations."""
         weighted = (self.weight * self.values)[:, None]
         pulls = np.zeros((int(observations.point.max(initial=-1)) + 1, size))
@@ -254,7 +265,7 @@ class _Residuals:
                 pulls[observations.point[own], columns] = (weighted[own] @ self.by_station[own])[:, 0]
         return pulls
 
-    def by_points(self, observations: Observations, size: int) -> tuple[Floats, Floats, Floats]:
+    def by_points(self, observations: SceneObservations, size: int) -> tuple[Floats, Floats, Floats]:
         """Half the points' own curvature (N, 3, 3), half the gradient (N, 3), and mixed derivatives (N, 3, size)."""
         across = np.swapaxes(self.by_point * self.weight[..., None], 1, 2)  # (M, 3, 4)
         own = observations.sums(across @ self.by_point)
@@ -268,14 +279,14 @@ class _Residuals:
         return own, pull, mixed
 
 
-def _of_stations(observations: Observations, size: int) -> Iterator[tuple[slice | None, Ints]]:
+def _of_stations(observations: SceneObservations, size: int) -> Iterator[tuple[slice | None, Ints]]:
     """The columns of each station, none of the first's, and its observations, at most one of a point."""
     for number in range(1 + (size - SHARED) // PER_POSE):
         start = SHARED + PER_POSE * (number - 1)
         yield slice(start, start + PER_POSE) if number else None, np.flatnonzero(observations.station == number)
 
 
-def _observed(scene: Scene, seen: Observations, spread: Spread) -> _Residuals:
+def _observed(scene: RigidScene, seen: SceneObservations, spread: ErrorScales) -> _Residuals:
     rig, pose = scene.rig, scene.rig.pose
     stations = Pose.stack(scene.stations)[seen.station]
     turned = np.einsum("mij,mj->mi", stations.rotation, scene.points[seen.point])
@@ -306,7 +317,7 @@ def _observed(scene: Scene, seen: Observations, spread: Spread) -> _Residuals:
     return _Residuals(root * residual, by_rig, by_station, by_point, int(np.count_nonzero(behind)))
 
 
-def _missed(rig: State, matches: Matches, spread: Spread) -> tuple[Floats, Floats]:
+def _missed(rig: State, matches: Matches, spread: ErrorScales) -> tuple[Floats, Floats]:
     """Distances (L,) of projector pixels from their epipolar lines, in sigmas, and derivatives (L, 21).
 
     The point on the camera's ray is the one nearest to the projector's ray; there, the distance is that of pixels,

@@ -20,11 +20,11 @@ from calib.refinement import (
     intrinsic_distance,
 )
 from calib.refusal import RefusalError
-from calib.scene.bundle import NOTHING_OBSERVED, Scene, SceneFit
+from calib.scene.bundle import NOTHING_OBSERVED, RigidScene, SceneFit
 from calib.scene.problem import FEWEST_POINTS, FEWEST_STATIONS, SceneProblem, sharpened
 from calib.scene.start import SceneStart, starts_of, with_motions
 from calib.scene.tracks import observe, placed_stations
-from calib.scene.views import SceneView, StationView, matched_pairs, some_matches, views_of, with_keypoints
+from calib.scene.views import MatchedView, SceneView, matched_pairs, some_matches, views_of, with_keypoints
 from calib.self_calibration import PrincipalPoint
 
 _TRIALS = 3  # distinct starts that are followed
@@ -172,7 +172,7 @@ def recalibrate_scene(
     motions = [pose @ first for pose in stations]
     poses = tuple(Pose(motion.rotation, motion.translation / start.baseline) for motion in motions)
     rig = State(device_of(start.camera), device_of(start.projector), start.pose.in_baselines)
-    scene = Scene(rig, poses, np.zeros((0, 3)))
+    scene = RigidScene(rig, poses, np.zeros((0, 3)))
     begun = SceneProblem(scene, NOTHING_OBSERVED, some_matches(views, _MATCHES), knowledge.prior(rig))
     sharp = sharpened(begun, scene, views)
     if sharp is None:
@@ -182,7 +182,7 @@ def recalibrate_scene(
     return _concluded(sharp.problem, sharp.fit, sharp.members, start.sizes)
 
 
-def _moving(captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, int]) -> list[StationView]:
+def _moving(captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, int]) -> list[MatchedView]:
     """Views of what moved against the rig. Raises RefusalError if nothing did."""
     views, resting = views_of(captures, camera_size)
     if resting > _MOST_RESTING:
@@ -267,7 +267,7 @@ def _problem(
     if len(points) < FEWEST_POINTS:
         return None
     matches = some_matches([views[k] for k in places], _MATCHES)
-    scene = Scene(start.rig, tuple(places.values()), points)
+    scene = RigidScene(start.rig, tuple(places.values()), points)
     return SceneProblem(scene, observations, matches, knowledge.prior(start.rig)), tuple(places)
 
 

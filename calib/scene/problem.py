@@ -9,12 +9,12 @@ from calib.geometry import Matches
 from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, robust_sigma
 from calib.refinement import SHARED, Prior
 from calib.scene.alignment import align
-from calib.scene.bundle import Observations, Scene, SceneFit, Spread, adjust, scores
-from calib.scene.views import WINDOW_PIXELS, StationView
+from calib.scene.bundle import ErrorScales, RigidScene, SceneFit, SceneObservations, adjust, scores
+from calib.scene.views import WINDOW_PIXELS, MatchedView
 
 FEWEST_STATIONS, FEWEST_POINTS = 3, 20
 _ANNEALING, _STEPS = (20.0, 5.0, 1.0), 20  # factors on the first guess of the spread, steps with each
-_GUESS = Spread(0.5, 1.0, 1.0)
+_GUESS = ErrorScales(0.5, 1.0, 1.0)
 _SHARPENED = _ANNEALING, (1.0,)  # each time that pictures and surfaces are aligned
 _ROUNDS = 3  # of measuring the spread
 _LEAST_SHARE = 0.5  # of the usual share of observations that are no outliers, of a station in its place
@@ -25,15 +25,15 @@ _OUTLYING = 4.0  # sigmas, of an observation that is left out
 class SceneProblem:
     """What is adjusted."""
 
-    start: Scene
+    start: RigidScene
     """Where the adjustment begins."""
-    observations: Observations
+    observations: SceneObservations
     """Of points of the scene."""
     matches: Matches
     """Others, which must lie on their epipolar lines."""
     prior: Prior
     """Of the rig."""
-    spread: Spread = _GUESS
+    spread: ErrorScales = _GUESS
     """Of observations and matches."""
 
     def solve(self, factors: Sequence[float] = _ANNEALING) -> SceneFit:
@@ -79,7 +79,7 @@ class SceneProblem:
         covariance[np.ix_(free, free)] = (shared * inverse + by_scores) / 2
         return covariance[:SHARED, :SHARED]
 
-    def _of(self, kept: Bools, scene: Scene) -> "tuple[SceneProblem, Scene]":
+    def _of(self, kept: Bools, scene: RigidScene) -> "tuple[SceneProblem, RigidScene]":
         """The problem of some observations, and the scene of the points that two of them share."""
         seen = self.observations
         shared = np.bincount(seen.point[kept], minlength=len(scene.points)) > 1
@@ -101,7 +101,7 @@ class Sharpened:
     """The stations that belong to the scene, by their numbers among those that were given."""
 
 
-def sharpened(problem: SceneProblem, scene: Scene, views: Sequence[StationView]) -> Sharpened | None:
+def sharpened(problem: SceneProblem, scene: RigidScene, views: Sequence[MatchedView]) -> Sharpened | None:
     """The problem of what the stations of a scene share, seen again under each better scene.
 
     `views`: of the stations. Those of which little fits, because they were placed wrongly, are left out. None where too
@@ -118,7 +118,7 @@ def sharpened(problem: SceneProblem, scene: Scene, views: Sequence[StationView])
                 problem,
                 start=replace(scene, points=points),
                 observations=observations,
-                spread=Spread(1.0, 1.0, problem.spread.matches),
+                spread=ErrorScales(1.0, 1.0, problem.spread.matches),
             )
             sharper, sharp = sharper.refined(sharper.solve(factors))
             if len(sharp.scene.points) < FEWEST_POINTS:
@@ -132,7 +132,7 @@ def sharpened(problem: SceneProblem, scene: Scene, views: Sequence[StationView])
     return solution
 
 
-def _fitting(observations: Observations, kept: Observations, stations: int) -> list[int]:
+def _fitting(observations: SceneObservations, kept: SceneObservations, stations: int) -> list[int]:
     """The stations most of whose observations are no outliers."""
     before, after = (np.bincount(some.station, minlength=stations) for some in (observations, kept))
     share = after / np.maximum(before, 1)
@@ -140,7 +140,7 @@ def _fitting(observations: Observations, kept: Observations, stations: int) -> l
     return np.flatnonzero(fits).tolist()
 
 
-def _places(scene: Scene) -> Ints:
+def _places(scene: RigidScene) -> Ints:
     """The cube (N,) of each point, of the size of two windows of pixels."""
     size = 2 * np.sqrt(WINDOW_PIXELS) * float(np.median(scene.points[:, 2])) / scene.rig.camera[0]
     cubes = np.floor(scene.points / size).astype(np.int64)
@@ -155,7 +155,7 @@ def _summed(values: Floats, group: Ints) -> Floats:
     return total
 
 
-def _growth(fit: SceneFit, observations: Observations) -> Floats:
+def _growth(fit: SceneFit, observations: SceneObservations) -> Floats:
     """Sigmas (2,) of keypoints and of their projector pixels in the units of a fit's residuals."""
     located = observations.is_located
     rows = 2 * len(located) + 2 * int(np.count_nonzero(located))

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Bools, Floats, Ints
-from calib.scene.bundle import Observations
+from calib.scene.bundle import SceneObservations
 from calib.scene.start import SceneStart, triangulated
 from calib.scene.views import SceneView
 
@@ -38,7 +38,7 @@ def observe(
     views: Sequence[SceneView],
     pairs: Mapping[tuple[int, int], tuple[Ints, Ints]],
     places: Mapping[int, Pose],
-) -> tuple[Observations, Floats]:
+) -> tuple[SceneObservations, Floats]:
     """Observations of keypoints that agree between placed stations, and their points (N, 3) in the first one's frame.
 
     `station` numbers the placed stations in their order. A track that has two keypoints of one station is left out.
@@ -65,7 +65,7 @@ def observe(
     keypoint, station_of, point = keypoint[by_point], station_of[by_point], point[by_point]
     order = {k: n for n, k in enumerate(places)}
 
-    seen = Observations(
+    seen = SceneObservations(
         point.astype(np.int64),
         np.array([order[k] for k in station_of.tolist()], np.int64),
         np.concatenate([view.camera_px for view in views])[keypoint],

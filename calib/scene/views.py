@@ -29,7 +29,7 @@ _RESTS_PX = 1.0  # the same camera pixel sees the same projector pixel in anothe
 
 
 @dataclass(frozen=True, eq=False)
-class StationView:
+class MatchedView:
     """What one station of an unchanged rig saw of a rigid scene."""
 
     matches: Matches
@@ -42,7 +42,7 @@ class StationView:
 
 
 @dataclass(frozen=True, eq=False)
-class SceneView(StationView):
+class SceneView(MatchedView):
     """The same with keypoints of the picture, by which stations are recognised in each other."""
 
     camera_px: Floats
@@ -92,7 +92,7 @@ class Lifted:
 
 def views_of(
     captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, int]
-) -> tuple[list[StationView], float]:
+) -> tuple[list[MatchedView], float]:
     """Views of captures with pictures (H, W) or (H, W, 3), and the share of matches that rested in all of them.
 
     What is at the same pixel of both devices in most other captures did not move against the rig: the table around a
@@ -106,7 +106,7 @@ def views_of(
             raise ValueError(f"the picture must have the shape {places.shape[:2]}, found {picture.shape[:2]}")
         column, row = np.rint(matches.camera_px).astype(np.int64).T
         own = np.where(rests[..., None], np.nan, places)
-        views.append(StationView(matches[~rests[row, column]], log_brightness(picture), own))
+        views.append(MatchedView(matches[~rests[row, column]], log_brightness(picture), own))
     decoded = sum(int(np.isfinite(places[..., 0]).sum()) for places in maps)
     return views, sum(int(rests.sum()) for rests in resting) / max(decoded, 1)
 
@@ -123,7 +123,7 @@ def matched_pairs(views: Sequence[SceneView]) -> dict[tuple[int, int], tuple[Int
     return pairs
 
 
-def some_matches(views: Sequence[StationView], count: int) -> Matches:
+def some_matches(views: Sequence[MatchedView], count: int) -> Matches:
     """At most `count` matches of each view at random, with sigmas."""
     chosen = [view.matches[at_random(len(view.matches), count)] for view in views]
     return Matches(
@@ -159,7 +159,7 @@ def _resting(maps: Sequence[Floats], number: int) -> Bools:
     return (2 * same > seen) & (seen > 0)
 
 
-def with_keypoints(view: StationView) -> SceneView:
+def with_keypoints(view: MatchedView) -> SceneView:
     """The view with the keypoints of its picture."""
     side = 2 * _HALF_WINDOW + 1
     known = np.isfinite(view.places[..., 0]).astype(np.uint8)

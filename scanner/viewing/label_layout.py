@@ -37,7 +37,7 @@ _ANCHORS: tuple[Anchor, ...] = (
 
 
 @dataclass(frozen=True)
-class Label:
+class TextLabel:
     """A `text` at a `place` (3,) of the cloud's frame; `anchor` is the side of it that is there if there is room."""
 
     text: str
@@ -45,7 +45,7 @@ class Label:
     anchor: Anchor
 
 
-def arranged(labels: Sequence[Label], view: WindowView) -> tuple[Anchor | None, ...]:
+def arranged(labels: Sequence[TextLabel], view: WindowView) -> tuple[Anchor | None, ...]:
     """The anchor of each label, so that none lies over another or is cut off; None for one that finds no room.
 
     The first have their choice first. A label that the window does not show is as it wants to be.
@@ -77,7 +77,7 @@ def area_of(text: str, pixel: Floats, anchor: Anchor, density: int = 1) -> Float
     return np.concatenate([low, low + size])
 
 
-def _areas(label: Label, pixel: Floats, density: int) -> Iterator[tuple[Anchor, Floats]]:
+def _areas(label: TextLabel, pixel: Floats, density: int) -> Iterator[tuple[Anchor, Floats]]:
     for anchor in dict.fromkeys((label.anchor, *_ANCHORS)):
         yield anchor, area_of(label.text, pixel, anchor, density)
 

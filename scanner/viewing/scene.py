@@ -23,12 +23,12 @@ from scanner.viewing.geometry import (
     ruler_lines,
     typical_size,
 )
-from scanner.viewing.label_layout import Anchor, Label
+from scanner.viewing.label_layout import Anchor, TextLabel
 from scanner.viewing.result import PlacedRig, ViewedCloud
 from scanner.viewing.see_through import PartKind, RoomPart, room_parts
 from scanner.viewing.surface import SurfaceMesh
 from scanner.viewing.texts import angle_name
-from scanner.viewing.windows import LABELS, Drawn, Windows, rest_of
+from scanner.viewing.windows import LABELS, ShownCloud, Windows, rest_of
 
 # The browser's camera is made for scenes of a few units, so clouds are scaled to this size.
 _DRAWN_SIZE = 2.0
@@ -66,7 +66,7 @@ class CloudScene:
         self._cloud: ViewedCloud | None = None
         self._factor = 1.0
         self._parts: tuple[RoomPart, ...] = ()
-        self._labels: list[Label] = []
+        self._labels: list[TextLabel] = []
         self._drawn_points: list[viser.PointCloudHandle] = []
         self._scene.configure_default_lights(cast_shadow=False)
         self.windows = Windows(server)
@@ -109,7 +109,7 @@ class CloudScene:
         """Take all windows back to the first view."""
         if self._cloud is not None:
             walls = {rest_of(PARTS[part.kind], number): part for number, part in enumerate(self._parts)}
-            self.windows.show(Drawn(self._cloud, self._factor, tuple(self._labels), walls))
+            self.windows.show(ShownCloud(self._cloud, self._factor, tuple(self._labels), walls))
 
     @contextmanager
     def enlarged(self, factor: float) -> Iterator[None]:
@@ -296,7 +296,7 @@ class CloudScene:
         self._scene.add_line_segments(name, points, colour, thickness=_LINE_PX, thickness_units="screen")
 
     def _label(self, text: str, place: Floats, anchor: Anchor) -> None:
-        self._labels.append(Label(text, place, anchor))
+        self._labels.append(TextLabel(text, place, anchor))
 
 
 def _end_of_common_edge(first: Floats, second: Floats) -> Floats:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.numerics import Floats
 from scanner.viewing.geometry import FIELD_OF_VIEW_RAD, Viewpoint, WindowView, density_of, viewpoint
-from scanner.viewing.label_layout import Label, arranged
+from scanner.viewing.label_layout import TextLabel, arranged
 from scanner.viewing.result import ViewedCloud
 from scanner.viewing.scale_bar import ScaleBar, scale_bar, scale_bar_html
 from scanner.viewing.see_through import RoomPart
@@ -28,14 +28,14 @@ def rest_of(parent: str, number: int) -> str:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class ShownCloud:
     """A `cloud` in a scene, where it is `factor` times as large, with its `labels`; `walls` by the nodes of what is
     left out of each where it is seen through.
     """
 
     cloud: ViewedCloud
     factor: float
-    labels: tuple[Label, ...]
+    labels: tuple[TextLabel, ...]
     walls: Mapping[str, RoomPart]
 
 
@@ -45,12 +45,12 @@ class Windows:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._lock = Lock()
-        self._drawn: Drawn | None = None
+        self._drawn: ShownCloud | None = None
         self._windows: dict[int, Window] = {}
         server.on_client_connect(self._add)
         server.on_client_disconnect(lambda client: self._windows.pop(client.client_id, None))
 
-    def show(self, drawn: Drawn) -> None:
+    def show(self, drawn: ShownCloud) -> None:
         """Look at it from a good place."""
         view = viewpoint(drawn.cloud)
         self._server.scene.set_up_direction(view.up)
@@ -97,7 +97,7 @@ class Window:
     def __init__(self, client: viser.ClientHandle) -> None:
         self.client = client
         self._lock = Lock()
-        self._drawn: Drawn | None = None
+        self._drawn: ShownCloud | None = None
         self._aimed: Viewpoint | None = None
         self._aspect = 0.0
         self._is_there = self._is_painted = False
@@ -134,7 +134,7 @@ class Window:
                 self._is_painted = picture is not None
                 self.client.scene.set_background_image(picture, "jpeg", jpeg_quality=_QUALITY)
 
-    def show(self, drawn: Drawn) -> None:
+    def show(self, drawn: ShownCloud) -> None:
         """Show everything, however narrow the window is."""
         with self._lock:
             self._remove()
@@ -207,13 +207,13 @@ class Window:
             if self._drawn is not None:
                 self._arrange(self._drawn, view)
 
-    def _view(self, drawn: Drawn) -> WindowView:
+    def _view(self, drawn: ShownCloud) -> WindowView:
         camera = self.client.camera
         axes = Rotation.from_quat(camera.wxyz, scalar_first=True).as_matrix().T
         position = camera.position / drawn.factor
         return WindowView(position, axes, camera.fov, camera.image_width, camera.image_height)
 
-    def _aim(self, drawn: Drawn) -> None:
+    def _aim(self, drawn: ShownCloud) -> None:
         camera = self.client.camera
         self._aspect, self._is_there = camera.aspect, False
         view = self._aimed = viewpoint(drawn.cloud, camera.aspect, self._uncovered)
@@ -224,7 +224,7 @@ class Window:
             camera.fov = FIELD_OF_VIEW_RAD
         self._arrange(drawn, WindowView.towards(view, FIELD_OF_VIEW_RAD, camera.image_width, camera.image_height))
 
-    def _arrange(self, drawn: Drawn, view: WindowView) -> None:
+    def _arrange(self, drawn: ShownCloud, view: WindowView) -> None:
         for handle, anchor in zip(self._labels, arranged(drawn.labels, view), strict=True):
             if anchor is not None and handle.anchor != anchor:
                 handle.anchor = anchor

@@ -13,7 +13,7 @@ from PIL import Image, ImageSequence
 from calib.numerics import Floats
 from scanner.viewing.colouring import Colouring, coloured
 from scanner.viewing.geometry import FIELD_OF_VIEW_RAD, Viewpoint, WindowView, turned, viewpoint
-from scanner.viewing.label_layout import Label, area_of, arranged
+from scanner.viewing.label_layout import TextLabel, area_of, arranged
 from scanner.viewing.pictures import Margin, completed, gif, png
 from scanner.viewing.result import CaptureCloud, ViewedCloud
 from scanner.viewing.scale_bar import ScaleBar, scale_bar, scale_bar_html
@@ -29,13 +29,13 @@ def window(width: int = 1010, height: int = 900) -> WindowView:
 
 @given(st.lists(st.tuples(st.text(min_size=1, max_size=30), *[st.floats(-2, 2)] * 3), max_size=30))
 def test_no_label_lies_over_another_or_is_cut_off(drawn: list[tuple[str, float, float, float]]) -> None:
-    labels = [Label(text, np.array(place), "center-center") for text, *place in drawn]
+    labels = [TextLabel(text, np.array(place), "center-center") for text, *place in drawn]
     for view in (window(), window(2020, 1800)):  # the second on a screen with twice the pixels
         assert view.density == view.height // 900
         assert_apart(labels, view)
 
 
-def assert_apart(labels: list[Label], view: WindowView) -> None:
+def assert_apart(labels: list[TextLabel], view: WindowView) -> None:
     anchors = arranged(labels, view)
     assert len(anchors) == len(labels)
     areas = []
@@ -52,7 +52,10 @@ def assert_apart(labels: list[Label], view: WindowView) -> None:
 
 
 def test_a_label_with_room_stays_as_it_wants_to_be() -> None:
-    apart = [Label("one", np.array([-1.0, 0.0, 0.0]), "top-left"), Label("two", np.array([1.0, 0.0, 0.0]), "top-left")]
+    apart = [
+        TextLabel("one", np.array([-1.0, 0.0, 0.0]), "top-left"),
+        TextLabel("two", np.array([1.0, 0.0, 0.0]), "top-left"),
+    ]
     assert arranged(apart, window()) == ("top-left", "top-left")
     first, second = arranged([apart[0], replace(apart[1], place=apart[0].place)], window())
     assert (first, second is None) == ("top-left", False)
