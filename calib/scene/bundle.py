@@ -19,7 +19,7 @@ from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, P
 
 _ROBUST = 3.0  # sigmas
 _ROWS = 4  # of an observation: camera x, y; projector x, y
-_STEPS, _CONVERGED = 40, 1e-7
+_STEPS, CONVERGED = 40, 1e-7
 # A rig that stations hardly determine has a valley whose curvature is a millionth of the walls'.
 _DAMPING = replace(NIELSEN, first=1e-7, least=1e-13)
 _BEHIND = 1e4  # cost of an observation behind a device
@@ -182,9 +182,11 @@ def adjust(
     matches: Matches,
     spread: ErrorScales,
     prior: Prior,
+    *,
     steps: int = _STEPS,
+    converged: float = CONVERGED,
 ) -> SceneFit:
-    """The most likely scene near one."""
+    """The most likely scene near one, until a step would gain less than `converged` of the cost."""
     free = np.concatenate([np.flatnonzero(prior.free[:SHARED]), np.arange(SHARED, scene.size)])
 
     def after(at: SceneFit, step: Floats) -> SceneFit:
@@ -195,11 +197,11 @@ def adjust(
     return descend(
         start,
         after,
-        lambda cost, decrement: decrement < _CONVERGED * cost,
+        lambda cost, decrement: decrement < converged * cost,
         _DAMPING,
         steps,
         free=free,
-        least_gain=_CONVERGED,
+        least_gain=converged,
     )
 
 

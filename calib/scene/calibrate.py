@@ -29,7 +29,7 @@ from calib.self_calibration import PrincipalPoint
 
 _TRIALS = 3  # distinct starts that are followed
 _SAME_FOCAL = 0.1  # relative difference below which two trials are one
-_MATCHES = 600  # of each station, beside keypoints
+_MATCHES = 3600  # of all stations, beside keypoints
 _FOLLOWED = 2  # times that a better rig tells which keypoints agree
 _ONE_AXIS_DEG = 3.0  # rotations that turn by less about all other axes leave a coordinate open
 _MOST_FOCAL = 0.015  # relative sigma of a focal length
@@ -102,6 +102,8 @@ class SceneCalibration:
     """Points of the scene that two or more stations share."""
     keypoint: float
     """By which keypoints are off, in their standard deviations."""
+    leaves_open: RefusalError | None = None
+    """What these stations do not determine, where that was asked for as a start."""
 
 
 def calibrate_scene(
@@ -115,7 +117,9 @@ def calibrate_scene(
 ) -> SceneCalibration:
     """Calibrate both devices from captures, each with the lit scene's picture (H, W) or (H, W, 3).
 
-    `provisional`: also where the stations that are connected leave something open, as a start of `recalibrate_scene`.
+    `provisional`: where the stations that are connected leave something open, say so in the result, which is a start
+    of `recalibrate_scene`.
+
     Raises RefusalError if the captures do not determine a calibration; ValueError if a picture has another size.
     """
     if len(captures) < FEWEST_STATIONS:
@@ -146,11 +150,15 @@ def calibrate_scene(
         raise _nothing_common(len(solution.fit.scene.points), len(solution.places), len(captures))
     problem, fit = sharp.problem, sharp.fit
     places = tuple(solution.places[k] for k in sharp.members)
-    if not provisional:
-        _refuse_apart(problem)
-        _refuse_undetermined(problem, fit)
-    _refuse_ambiguous(solution, solved)
-    return _concluded(problem, fit, places, (camera_size, projector_size))
+    found = _concluded(problem, fit, places, (camera_size, projector_size))
+    try:
+        _refuse_undetermined(problem, fit, found.uncertainty)
+        _refuse_ambiguous(solution, solved)
+    except RefusalError as refusal:
+        if not provisional:
+            raise
+        return replace(found, leaves_open=refusal)
+    return found
 
 
 def recalibrate_scene(
@@ -173,13 +181,13 @@ def recalibrate_scene(
     poses = tuple(Pose(motion.rotation, motion.translation / start.baseline) for motion in motions)
     rig = State(device_of(start.camera), device_of(start.projector), start.pose.in_baselines)
     scene = RigidScene(rig, poses, np.zeros((0, 3)))
-    begun = SceneProblem(scene, NOTHING_OBSERVED, some_matches(views, _MATCHES), knowledge.prior(rig))
+    begun = SceneProblem(scene, NOTHING_OBSERVED, some_matches(views, _MATCHES // len(views)), knowledge.prior(rig))
     sharp = sharpened(begun, scene, views)
     if sharp is None:
         raise _nothing_common(0, 0, len(captures))
-    _refuse_apart(sharp.problem)
-    _refuse_undetermined(sharp.problem, sharp.fit)
-    return _concluded(sharp.problem, sharp.fit, sharp.members, start.sizes)
+    found = _concluded(sharp.problem, sharp.fit, sharp.members, start.sizes)
+    _refuse_undetermined(sharp.problem, sharp.fit, found.uncertainty)
+    return found
 
 
 def _moving(captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, int]) -> list[MatchedView]:
@@ -216,10 +224,11 @@ def _refuse_apart(problem: SceneProblem) -> None:
         )
 
 
-def _refuse_undetermined(problem: SceneProblem, fit: SceneFit) -> None:
-    """Raise if the stations turn about one axis, or determine the focal lengths too weakly."""
+def _refuse_undetermined(problem: SceneProblem, fit: SceneFit, uncertainty: Uncertainty) -> None:
+    """Raise if surfaces do not coincide, the stations turn about one axis, or focal lengths are known too weakly."""
+    _refuse_apart(problem)
     _refuse_one_axis(fit.scene.stations)
-    sigma = np.sqrt(np.diag(problem.covariance(fit)))
+    sigma = np.sqrt(np.diag(uncertainty.covariance))
     percent = 100 * sigma[CAMERA.start], 100 * sigma[PROJECTOR.start]
     if not max(percent) < 100 * _MOST_FOCAL:
         raise RefusalError(
@@ -266,7 +275,7 @@ def _problem(
     observations, points = observe(moving, views, pairs, places)
     if len(points) < FEWEST_POINTS:
         return None
-    matches = some_matches([views[k] for k in places], _MATCHES)
+    matches = some_matches([views[k] for k in places], _MATCHES // len(places))
     scene = RigidScene(start.rig, tuple(places.values()), points)
     return SceneProblem(scene, observations, matches, knowledge.prior(start.rig)), tuple(places)
 

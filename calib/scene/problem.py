@@ -9,7 +9,7 @@ from calib.geometry import Matches
 from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, robust_sigma
 from calib.refinement import SHARED, Prior
 from calib.scene.alignment import align
-from calib.scene.bundle import ErrorScales, RigidScene, SceneFit, SceneObservations, adjust, scores
+from calib.scene.bundle import CONVERGED, ErrorScales, RigidScene, SceneFit, SceneObservations, adjust, scores
 from calib.scene.views import WINDOW_PIXELS, MatchedView
 
 FEWEST_STATIONS, FEWEST_POINTS = 3, 20
@@ -17,6 +17,7 @@ _ANNEALING, _STEPS = (20.0, 5.0, 1.0), 20  # factors on the first guess of the s
 _GUESS = ErrorScales(0.5, 1.0, 1.0)
 _SHARPENED = _ANNEALING, (1.0,)  # each time that pictures and surfaces are aligned
 _ROUNDS = 3  # of measuring the spread
+_ROUGHLY = 1e-4  # convergence before the last of them
 _LEAST_SHARE = 0.5  # of the usual share of observations that are no outliers, of a station in its place
 _OUTLYING = 4.0  # sigmas, of an observation that is left out
 
@@ -40,21 +41,32 @@ class SceneProblem:
         """The most likely scene near the start, from a wide spread to the guessed one."""
         scene = self.start
         for factor in factors:
-            fit = adjust(scene, self.observations, self.matches, self.spread.times(factor), self.prior, _STEPS)
+            fit = adjust(
+                scene,
+                self.observations,
+                self.matches,
+                self.spread.times(factor),
+                self.prior,
+                steps=_STEPS,
+                converged=_ROUGHLY,
+            )
             scene = fit.scene
         return fit
 
     def refined(self, fit: SceneFit) -> "tuple[SceneProblem, SceneFit]":
         """The problem without outliers and with the spread that residuals show, and its solution."""
         problem = self
-        for _ in range(_ROUNDS):
+        for number in range(1, _ROUNDS + 1):
             growth, of_matches = _growth(fit, problem.observations), robust_sigma(fit.miss)
             within = (np.abs(fit.residual.reshape(-1, 2, 2)).max(axis=2) < _OUTLYING * growth).all(axis=1)
             problem = replace(problem, spread=problem.spread.grown(growth, of_matches))
             problem, scene = problem._of(within, fit.scene)
             if not len(scene.points):
                 return problem, replace(fit, scene=scene)
-            fit = adjust(scene, problem.observations, problem.matches, problem.spread, problem.prior)
+            converged = CONVERGED if number == _ROUNDS else _ROUGHLY
+            fit = adjust(
+                scene, problem.observations, problem.matches, problem.spread, problem.prior, converged=converged
+            )
         return problem, fit
 
     def covariance(self, fit: SceneFit) -> Floats:

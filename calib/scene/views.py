@@ -149,14 +149,18 @@ def _map_of(matches: Matches, size: tuple[int, int]) -> Floats:
 
 def _resting(maps: Sequence[Floats], number: int) -> Bools:
     """Where a view sees what it sees in most of the others, (H, W)."""
-    own = maps[number][..., :2]
-    same, seen = np.zeros(own.shape[:2], np.int64), np.zeros(own.shape[:2], np.int64)
+    x, y = maps[number][..., 0], maps[number][..., 1]
+    row, column = np.nonzero(np.isfinite(x))
+    x, y = x[row, column], y[row, column]
+    same, seen = np.zeros(len(row), np.int64), np.zeros(len(row), np.int64)
     for k, places in enumerate(maps):
         if k != number:
-            apart = np.abs(places[..., :2] - own).max(axis=2)
-            seen += np.isfinite(apart)
-            same += apart < _RESTS_PX
-    return (2 * same > seen) & (seen > 0)
+            others = places[row, column]
+            seen += np.isfinite(others[:, 0])
+            same += (np.abs(others[:, 0] - x) < _RESTS_PX) & (np.abs(others[:, 1] - y) < _RESTS_PX)
+    rests = np.zeros(maps[number].shape[:2], np.bool_)
+    rests[row, column] = (2 * same > seen) & (seen > 0)
+    return rests
 
 
 def with_keypoints(view: MatchedView) -> SceneView:

@@ -11,7 +11,7 @@ from scanner.configuration import Config
 from scanner.objects.solve import solve_object
 from scanner.reconstruction import scaled
 from scanner.results import Decoded, GivenCalibration
-from scanner.rooms import RigStart, after_no_corner, rig_from_placed, rig_from_scene
+from scanner.rooms import RigStart, after_no_corner, calibrate_by_pictures, rig_from_placed, start_of
 from scanner.ui import Progress
 
 log = logging.getLogger(__name__)
@@ -23,18 +23,21 @@ def rig_from_object(captures: Sequence[Decoded], config: Config, progress: Progr
 
     Raises RefusalError.
     """
-    rough = rig_from_scene(captures, config, progress, provisional=True)
-    try:
-        placed = solve_object(captures, rough, config, progress)
-        if len(placed.stations) >= FEWEST_STATIONS:
-            unit = placed.calibration.baseline
-            places = [station.place.inverse() for station in placed.stations]
-            poses = [Pose(place.rotation, place.translation / unit) for place in places]
-            stations = [station.decoded for station in placed.stations]
-            return rig_from_placed(rough, stations, poses, config, progress)
-    except RefusalError as refusal:
-        log.info("without surfaces: %s", refusal.reason)
-    return rig_from_scene(captures, config, progress)
+    scene = calibrate_by_pictures(captures, config, progress)
+    if len(scene.stations) < len(captures):
+        try:
+            placed = solve_object(captures, start_of(scene), config, progress)
+            if len(placed.stations) > len(scene.stations):
+                unit = placed.calibration.baseline
+                places = [station.place.inverse() for station in placed.stations]
+                poses = [Pose(place.rotation, place.translation / unit) for place in places]
+                stations = [station.decoded for station in placed.stations]
+                return rig_from_placed(start_of(scene), stations, poses, config, progress)
+        except RefusalError as refusal:
+            log.info("pictures alone have to do: %s", refusal.reason)
+    if scene.leaves_open:
+        raise scene.leaves_open
+    return start_of(scene)
 
 
 def calibrate_without_corner(

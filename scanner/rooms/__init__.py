@@ -11,9 +11,10 @@ from scanner.rooms.live import StationComparison, check_stations, take_object_st
 from scanner.rooms.mesh import CAMERA_FROM_ROOM
 from scanner.rooms.scene_rig import (
     after_no_corner,
+    calibrate_by_pictures,
     rig_from_placed,
-    rig_from_scene,
     rig_from_stations,
+    start_of,
     weakness_of,
 )
 from scanner.rooms.solve import solve_room

@@ -44,13 +44,16 @@ def after_no_corner(no_corner: RefusalError) -> Iterator[None]:
         raise RefusalError(refusal.finding.kind, reason, refusal.advice, refusal.finding.data) from None
 
 
-def rig_from_scene(
-    stations: Sequence[Decoded], config: Config, progress: Progress, *, provisional: bool = False
-) -> RigStart:
-    """The rig by what the stations share. Raises RefusalError.
+def rig_from_scene(stations: Sequence[Decoded], config: Config, progress: Progress) -> RigStart:
+    """The rig by what the stations share. Raises RefusalError."""
+    scene = calibrate_by_pictures(stations, config, progress)
+    if scene.leaves_open:
+        raise scene.leaves_open
+    return start_of(scene)
 
-    `provisional`: for `rig_from_placed`, also where connected stations leave something open.
-    """
+
+def calibrate_by_pictures(stations: Sequence[Decoded], config: Config, progress: Progress) -> SceneCalibration:
+    """What the stations determine whose pictures have points in common, also if it is little. Raises RefusalError."""
     sizes = stations[0].metadata.camera_size, stations[0].metadata.projector_size
     pictures = [(station.matches, station.texture) for station in stations if station.texture is not None]
     without = len(stations) - len(pictures)
@@ -58,14 +61,18 @@ def rig_from_scene(
         message = f"{without} of {len(stations)} stations have no picture by which points could be recognised."
         raise RefusalError(NO_PICTURES, message, NO_PICTURES.remedy, {"captures": float(without)})
     with progress.step("Calibrating by what the stations share"):
-        solved = calibrate_scene(
+        return calibrate_scene(
             pictures,
             *sizes,
             principal_point=config.principal_point(sizes[0]),
             lenses=lenses_of(config, *sizes),
-            provisional=provisional,
+            provisional=True,
         )
-    return RigStart(solved.calibration, solved.uncertainty, {}, findings=(finding_on(solved),))
+
+
+def start_of(scene: SceneCalibration) -> RigStart:
+    """The rig of a calibration by what stations share."""
+    return RigStart(scene.calibration, scene.uncertainty, {}, findings=(finding_on(scene),))
 
 
 def rig_from_placed(
@@ -86,7 +93,7 @@ def rig_from_placed(
             principal_point=config.principal_point(rig.camera.size),
             lenses=lenses_of(config, *rig.sizes),
         )
-    return RigStart(solved.calibration, solved.uncertainty, {}, findings=(finding_on(solved),))
+    return start_of(solved)
 
 
 def weakness_of(calibration: Calibration, findings: Sequence[Finding]) -> str | None:
