@@ -32,7 +32,7 @@ def calibrate(
     captures = read_captures(matches, *sizes, decode=lambda path: read_recording(path, config, terminal))
     known = tuple(path for path in matches if is_calibration(path))
     if not captures:
-        raise InputError(f"{known[0]}: expected captures to join with this calibration, found none")
+        raise InputError(f"{known[0]}: expected captures of a corner to join with this calibration, found none")
     config = config.model_copy(update={"earlier": known})
     refuse_impossible(config, len(captures))
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:

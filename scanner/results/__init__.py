@@ -6,6 +6,7 @@ from scanner.results.finished_result import (
     KeptPoints,
     PlacedScan,
     capture_folders,
+    is_merged,
     read_finished_result,
     read_joined,
 )

@@ -129,7 +129,7 @@ def read_finished_result(folder: Path, capture: int | None = None) -> FinishedRe
         number = capture or 1
         station = PlacedScan(f"capture {number}", folders[number - 1], IDENTITY)
         return FinishedResult(unit, (station,), station.folder / CLOUD_FILE)
-    if not ((folder / MERGED_FILE).is_file() and (folder / POSES_FILE).is_file()):
+    if not is_merged(folder):
         raise InputError(
             f"{folder}: its {count} captures were not merged (its report says why); choose one with "
             f"--capture 1 to {count}"
@@ -138,6 +138,11 @@ def read_finished_result(folder: Path, capture: int | None = None) -> FinishedRe
     placed = enumerate(zip(folders, poses, strict=True), start=1)
     stations = tuple(PlacedScan(f"capture {n}", path, pose) for n, (path, pose) in placed)
     return FinishedResult(unit, stations, folder / MERGED_FILE, listing=folder / POSES_FILE)
+
+
+def is_merged(folder: Path) -> bool:
+    """Whether the captures of a corner have one cloud."""
+    return (folder / MERGED_FILE).is_file() and (folder / POSES_FILE).is_file()
 
 
 def capture_folders(folder: Path) -> list[Path]:

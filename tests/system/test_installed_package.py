@@ -60,7 +60,7 @@ ASKED: dict[str, list[tuple[tuple[str, ...], int, str]]] = {
         (("one", "--to", "e57"), 2, "E57 needs pye57, which is not installed; type: "),
     ],
     "clean": [(("one", "--outliers"), 0, "→ "), (("one", "--undo"), 0, "→ ")],
-    "section": [(("one", "--plane", "z=1000000"), 2, "meets no triangle")],
+    "section": [(("one", "--plane", "z=9999"), 2, "meets no triangle")],
     "measure": [(("one",), 0, "→ ")],
     "accept": [(("one", "--ball-bar", "50mm,50mm,200mm"), 2, "scale.baseline_m")],
     "view": [(("one",), 2, "needs viser, which is not installed; type: ")],

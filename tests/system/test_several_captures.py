@@ -210,10 +210,12 @@ def test_a_recording_of_another_size_is_refused(
     assert f"{result}: its camera is {SIZE[0]} × {SIZE[1]}" in capsys.readouterr().err
 
 
-def test_a_recording_alone_holds_no_matches(given: Given, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_of_another_rig_is_refused(
+    given: Given, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_capture(tmp_path / "room")
     assert run("calibrate", tmp_path / "room", "--config", given.config, "--out", tmp_path / "out") == 2
-    assert "found a recording: make a result of it first, with scan replay" in capsys.readouterr().err
+    assert f"{tmp_path / 'room'}: its camera is {SIZE[0]} × {SIZE[1]}" in capsys.readouterr().err
 
 
 def test_the_method_of_the_paper_takes_one_capture(
