@@ -18,7 +18,6 @@ from calib.refinement import (
     Fit,
     KnownRig,
     Refinement,
-    State,
     covariance_of,
 )
 from calib.refusal import RefusalError
@@ -88,7 +87,7 @@ def refuse_changed_rig(alone: Mapping[int, Uncertainty]) -> None:
         step = rig.step_to(another_fit.rig)
         cost = float(step @ rig.precision @ step)
         if cost > (limit if worst is None else worst[0]):
-            worst = cost, first + 1, second + 1, _likeliest_change(rig, step, limit)
+            worst = cost, first + 1, second + 1, _likeliest_change(rig.precision, step, limit)
     if worst is not None:
         cost, first, second, change = worst
         raise ContradictionError(
@@ -100,13 +99,12 @@ def refuse_changed_rig(alone: Mapping[int, Uncertainty]) -> None:
         )
 
 
-def explain_change(given: State, covariance: Floats, estimate: Uncertainty) -> str:
-    """The parameter by which an estimate differs from a given rig, if it alone has changed, in words.
-
-    `covariance` (21, 21): of the given rig; zeros if it is taken as exact.
+def explain_change(step: Floats, precision: Floats) -> tuple[float, str]:
+    """How much less likely than the limit of chance (1) a step (21,) of the rig is, and the parameter that explains it
+    if it alone has changed, in words. `precision` (21, 21): the inverse of its covariance.
     """
-    rig = KnownRig(given, covariance + estimate.covariance)
-    return _likeliest_change(rig, rig.step_to(estimate.rig), float(chdtri(SHARED, 1 - _SIGNIFICANT)))
+    limit = float(chdtri(SHARED, 1 - _SIGNIFICANT))
+    return float(step @ precision @ step) / limit, _likeliest_change(precision, step, limit)
 
 
 def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
@@ -125,16 +123,16 @@ def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
     return factor * float(chdtri(float(np.sum(widths)) ** 2 / float(np.sum(widths**2)), 1 - _SIGNIFICANT))
 
 
-def _likeliest_change(rig: KnownRig, step: Floats, limit: float) -> str:
+def _likeliest_change(precision: Floats, step: Floats, limit: float) -> str:
     """The parameter that explains a step (21,) best if it alone has changed, in words.
 
     Most parameters are known too little by themselves for a difference to show; their combination is not.
     """
-    pull = rig.precision @ step
+    pull = precision @ step
     left, text = np.inf, ""
     for name, columns, unit in _ROWS:
         chosen = list(columns)
-        change = np.asarray(np.linalg.solve(rig.precision[np.ix_(chosen, chosen)], pull[chosen]), np.float64)
+        change = np.asarray(np.linalg.solve(precision[np.ix_(chosen, chosen)], pull[chosen]), np.float64)
         explained = float(change @ pull[chosen])
         if float(step @ pull) - explained < left:
             left = float(step @ pull) - explained

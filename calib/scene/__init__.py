@@ -8,4 +8,5 @@ from calib.scene.calibrate import (
     calibrate_scene,
     recalibrate_scene,
 )
+from calib.scene.epipolar_lines import rig_by_lines
 from calib.scene.problem import FEWEST_STATIONS

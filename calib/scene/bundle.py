@@ -17,7 +17,7 @@ from calib.geometry import radial_distortion as lens
 from calib.numerics import NIELSEN, Bools, Floats, Ints, Quadratic, descend, huber_loss, huber_weights
 from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, Prior, State
 
-_ROBUST = 3.0  # sigmas
+HUBER_SIGMAS = 3.0  # sigmas
 _ROWS = 4  # of an observation: camera x, y; projector x, y
 _STEPS, CONVERGED = 40, 1e-7
 # A rig that stations hardly determine has a valley whose curvature is a millionth of the walls'.
@@ -156,7 +156,7 @@ def evaluate(
     information[range(SHARED), range(SHARED)] += curvature
 
     residuals = _observed(scene, observations, spread)
-    cost += float(huber_loss(residuals.lengths, _ROBUST).sum()) + _BEHIND * residuals.behind
+    cost += float(huber_loss(residuals.lengths, HUBER_SIGMAS).sum()) + _BEHIND * residuals.behind
     own_pull, own_curvature = residuals.by_columns(observations, size)
     gradient += own_pull
     information += own_curvature
@@ -166,9 +166,9 @@ def evaluate(
     information -= mixed.reshape(-1, size).T @ by_step.reshape(-1, size)
     gradient -= mixed.reshape(-1, size).T @ step.ravel()
 
-    miss, by_shared = _missed(scene.rig, matches, spread)
-    miss_weight = huber_weights(np.abs(miss), _ROBUST)
-    cost += float(huber_loss(np.abs(miss), _ROBUST).sum())
+    miss, by_shared = missed(scene.rig, matches, spread)
+    miss_weight = huber_weights(np.abs(miss), HUBER_SIGMAS)
+    cost += float(huber_loss(np.abs(miss), HUBER_SIGMAS).sum())
     information[:SHARED, :SHARED] += (by_shared * miss_weight[:, None]).T @ by_shared
     gradient[:SHARED] += (by_shared * miss_weight[:, None]).T @ miss
     return SceneFit(
@@ -213,8 +213,8 @@ def scores(
     own, pull_on_points, mixed = residuals.by_points(observations, scene.size)
     pull = residuals.pulls(observations, scene.size)
     pull -= (np.linalg.solve(own, pull_on_points[..., None])[:, None, :, 0] @ mixed)[:, 0]
-    miss, by_shared = _missed(scene.rig, matches, spread)
-    return pull, by_shared * (huber_weights(np.abs(miss), _ROBUST) * miss)[:, None]
+    miss, by_shared = missed(scene.rig, matches, spread)
+    return pull, by_shared * (huber_weights(np.abs(miss), HUBER_SIGMAS) * miss)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +240,7 @@ class _Residuals:
     @cached_property
     def weight(self) -> Floats:
         """Huber's, (M, 4)."""
-        return np.repeat(huber_weights(self.lengths, _ROBUST), 2, axis=1)
+        return np.repeat(huber_weights(self.lengths, HUBER_SIGMAS), 2, axis=1)
 
     def by_columns(self, observations: SceneObservations, size: int) -> tuple[Floats, Floats]:
         """Half the gradient (size,) and half the curvature (size, size) by the columns."""
@@ -319,7 +319,7 @@ def _observed(scene: RigidScene, seen: SceneObservations, spread: ErrorScales) -
     return _Residuals(root * residual, by_rig, by_station, by_point, int(np.count_nonzero(behind)))
 
 
-def _missed(rig: State, matches: Matches, spread: ErrorScales) -> tuple[Floats, Floats]:
+def missed(rig: State, matches: Matches, spread: ErrorScales) -> tuple[Floats, Floats]:
     """Distances (L,) of projector pixels from their epipolar lines, in sigmas, and derivatives (L, 21).
 
     The point on the camera's ray is the one nearest to the projector's ray; there, the distance is that of pixels,
@@ -349,5 +349,5 @@ def _missed(rig: State, matches: Matches, spread: ErrorScales) -> tuple[Floats, 
     sigma = spread.matches * (np.ones(len(rays)) if matches.sigma_px is None else matches.sigma_px)
     miss = np.sum(across * (pixels - matches.projector_px), axis=1) / sigma
     by_shared /= sigma[:, None]
-    miss[~valid], by_shared[~valid] = 3 * _ROBUST, 0.0
+    miss[~valid], by_shared[~valid] = 3 * HUBER_SIGMAS, 0.0
     return miss, by_shared

@@ -1,31 +1,39 @@
 """Whether a calibration still holds, or ever did: what captures alone say of the rig, beside what a file says."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from calib.diagnostics import Uncertainty, explain_change
-from calib.geometry import Calibration
-from calib.numerics import Floats
-from calib.refinement import CAMERA, PROJECTOR, SHARED
+from calib.geometry import Calibration, Matches
+from calib.numerics import Floats, at_random
+from calib.refinement import CAMERA, PROJECTOR, SHARED, KnownRig
+from calib.refusal import RefusalError
+from calib.scene import rig_by_lines
 from scanner.calibration_job import calibrate
 from scanner.comparing import CalibrationComparison, compare_files, comparison_verdict
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
-from scanner.results import CALIBRATION_FILE, Verdict, read_uncertainty
-from scanner.rooms import state_of
+from scanner.jobs import scan
+from scanner.reconstruction import read_captures
+from scanner.results import CALIBRATION_FILE, Decoded, Verdict, read_uncertainty
+from scanner.rooms import read_recording, state_of
 from scanner.ui import Terminal
+
+_MATCHES = 6000
+_FOR_MORE = "One capture of a corner, or three of anything from different sides, test all of it."
 
 
 @dataclass(frozen=True)
 class CalibrationCheck:
     """A calibration that was given, beside the one that captures determine without it."""
 
-    comparison: CalibrationComparison
-    """Where in the picture they differ."""
+    comparison: CalibrationComparison | None
+    """Where in the picture they differ; None if only epipolar lines were compared."""
     verdict: Verdict
     """Whether the given one holds, and what has changed."""
 
@@ -35,18 +43,29 @@ def check_calibration(
 ) -> CalibrationCheck:
     """Calibrate from captures of a corner, or three or more of anything, into `out`, and compare with a given file.
 
-    Raises InputError, RefusalError if the captures determine no calibration.
+    Captures that determine no calibration still tell whether rays meet. Raises InputError.
     """
     file = given / CALIBRATION_FILE if given.is_dir() else given
     calibration = read_calibration(file)
-    scan = calibrate(captures, config, out, terminal=terminal)
+    stated = read_uncertainty(file, calibration)
+    try:
+        scan = calibrate(captures, config, out, terminal=terminal)
+    except RefusalError as refusal:
+        sizes = calibration.sizes
+        decoded = read_captures(captures, *sizes, decode=lambda path: read_recording(path, config, terminal))
+        return CalibrationCheck(None, _verdict_by_lines(calibration, stated, decoded, refusal))
     estimate = scan.newest.uncertainty
     if estimate is None:
         raise InputError("'method: paper' states no uncertainty to judge a calibration by: use 'method: refined'")
     comparison = compare_files(file, out)
-    return CalibrationCheck(
-        comparison, _verdict(comparison, calibration, read_uncertainty(file, calibration), estimate)
-    )
+    return CalibrationCheck(comparison, _verdict(comparison, calibration, stated, estimate))
+
+
+def take_capture(config: Config, out: Path, terminal: Terminal) -> Path:
+    """`out`, with one capture of whatever stands before the configured rig. Raises InputError, DeviceError."""
+    with suppress(RefusalError):  # its matches are kept, whatever they show
+        scan(config, out, terminal=terminal)
+    return out
 
 
 def config_of(given: Path, overrides: Sequence[str] = ()) -> Config:
@@ -72,13 +91,40 @@ def _verdict(
     reasons = (*_focal_lengths(state.step_to(estimate.rig), covariance, estimate.covariance), *verdict.reasons)
     if verdict.grade != "refused":
         return replace(verdict, headline="The calibration holds, as far as these captures can tell.", reasons=reasons)
-    change = explain_change(state, covariance, estimate)
+    rig = KnownRig(state, covariance + estimate.covariance)
+    _, change = explain_change(rig.step_to(estimate.rig), rig.precision)
     return Verdict(
         "refused",
         "The calibration does not hold.",
         (f"{change}.", *reasons),
         "If the rig is as it was for these captures, use what they say: it is the result's calibration.yaml.",
     )
+
+
+def _verdict_by_lines(
+    given: Calibration, stated: Uncertainty | None, captures: Sequence[Decoded], refusal: RefusalError
+) -> Verdict:
+    """Whether the rays of captures meet that determine no calibration."""
+    state, covariance = state_of(given), np.zeros((SHARED, SHARED)) if stated is None else stated.covariance
+    chosen = [capture.matches[at_random(len(capture.matches), _MATCHES // len(captures))] for capture in captures]
+    sigmas = [np.ones(len(some)) if some.sigma_px is None else some.sigma_px for some in chosen]
+    matches = Matches(
+        np.concatenate([some.camera_px for some in chosen]).astype(np.float64),
+        np.concatenate([some.projector_px for some in chosen]).astype(np.float64),
+        None,
+        np.concatenate(sigmas).astype(np.float64),
+    )
+    lines = rig_by_lines(state, matches)
+    precision = lines.information @ np.linalg.inv(np.eye(SHARED) + covariance @ lines.information)
+    times, change = explain_change(lines.step, precision)
+    reasons = (
+        f"Under it rays miss each other by {lines.given_px:.2g} projector px (one standard deviation); at best they "
+        f"would by {lines.best_px:.2g}.",
+        f"Only whether rays meet was tested; a change that leaves them meeting is not seen. {refusal.reason}",
+    )
+    if times <= 1:
+        return Verdict("good", "The calibration holds, as far as rays that meet can tell.", reasons, _FOR_MORE)
+    return Verdict("refused", "The calibration does not hold: rays do not meet.", (f"{change}.", *reasons), _FOR_MORE)
 
 
 def _focal_lengths(step: Floats, given: Floats, estimate: Floats) -> Iterator[str]:

@@ -170,15 +170,16 @@ these lines change, and the original file is kept as FILE.bak.
 Exit codes: 0 if a scan would work, even if poorly; 3 if a device fails; 4 if a scan of this view would be refused, or,
 with --require good, if anything could be better. The results so far are always shown.
 
-With captures and --calibration: whether the calibration holds, what has changed, and by how much, by one capture of a
-corner, or three or more of anything. Exit codes: 0 if it holds; 1 if not; 4 if the captures determine no calibration.
+With --calibration: whether it holds, what has changed, and by how much, by captures or by one that is taken. One of a
+corner, or three of anything from different sides, test all of it; any other tests whether rays meet. Exit codes: 0 if
+it holds; 1 if not.
 """,
 )
 def of_check(parser: ArgumentParser) -> None:
-    captures = "recorded capture, result or matches.npz of the rig: one of a corner, or three or more of anything"
+    captures = "with --calibration: recorded capture, result or matches.npz of the rig (default: one is taken)"
     add_paths(parser, "captures", "CAPTURE", captures, nargs="*")
     add_config(parser, required=False)
-    add_calibration(parser, "with captures: the calibration to check, of any program")
+    add_calibration(parser, "the calibration to check")
     add_flag(parser, "--write", "put the exposure and the projector's response into the configuration file")
     parser.add_argument(
         "--watch",

@@ -12,6 +12,7 @@ from scanner.checking import (
     check_configured_rig,
     config_of,
     table_of,
+    take_capture,
     write_check,
 )
 from scanner.commands.shared_arguments import is_enough
@@ -56,20 +57,24 @@ def run(args: Namespace) -> int:
 
 
 def _check_calibration(args: Namespace) -> int:
-    """Judge a calibration by captures. Raises InputError, RefusalError."""
-    if not args.captures or args.calibration is None:
-        raise InputError("a calibration is checked by captures: scan check CAPTURE… --calibration FILE")
+    """Judge a calibration by captures, or by one that is taken. Raises InputError, DeviceError."""
+    if args.calibration is None or not (args.captures or args.config):
+        raise InputError(
+            "a calibration is checked by captures, or by a rig that takes one: scan check CAPTURE… --calibration FILE, "
+            "or scan check --config FILE --calibration FILE"
+        )
     if args.write or args.watch:
-        raise InputError("--write and --watch are of a live check, without captures")
+        raise InputError("--write and --watch are of a check without --calibration")
     terminal = Terminal(quiet=args.quiet)
     config = load_config(args.config, args.set) if args.config else config_of(args.calibration, args.set)
     with TemporaryDirectory(prefix="scan-check-") as temporary:
         out = args.out or Path(temporary) / "check"
-        check = check_calibration(args.calibration, args.captures, config, out, terminal)
+        captures = args.captures or [take_capture(config, Path(temporary) / "capture", terminal)]
+        check = check_calibration(args.calibration, captures, config, out, terminal)
     verdict = check.verdict
-    terminal.show(
-        table(check.comparison), f"{verdict.sign} {verdict.headline}", *(f"  {each}" for each in verdict.reasons)
-    )
+    if check.comparison is not None:
+        terminal.show(table(check.comparison))
+    terminal.show(f"{verdict.sign} {verdict.headline}", *(f"  {reason}" for reason in verdict.reasons))
     if args.out:
         terminal.show(f"Result: {args.out} (what the captures say)")
     if verdict.advice:

@@ -39,6 +39,7 @@ NOT_RUN = {
     "scan board --config configs/room.yaml": NEED_DEVICES,
     "scan calibrate one": "needs captures of a thing; its own tests have them",
     "scan check corner": "needs captures of a calibrated rig; its own tests have them",
+    "scan check --config my-rig.yaml": NEED_DEVICES,
     "scan check one": "needs captures of a calibrated rig; its own tests have them",
     "scan room": "needs a room's stations; its own tests have them",
     "scan network": "needs captures of a network's pairs; its own tests have them",

@@ -1,5 +1,6 @@
 """A calibration is judged by captures of its rig: it holds, or the parameter that changed is named with its amount."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from scanner.checking.calibration_check import check_calibration, config_of
 from scanner.commands import main
 from scanner.io import write_calibration, write_matches
 from scanner.ui import Terminal
+from tests.support.things import thing_stations, turned_stations
 
 pytestmark = pytest.mark.xdist_group("calibration check")  # what the module shares is made once
 
@@ -74,12 +76,49 @@ def test_the_command_ends_with_1_where_it_does_not_hold(
     assert not list(tmp_path.glob("*check*"))
 
 
+def test_one_capture_of_anything_tells_whether_rays_meet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("open3d", exc_type=ImportError)
+    (station,) = turned_stations(1, (306, 256), seed=3)
+    truth = station.calibration
+    write_matches(tmp_path / "thing.npz", station.matches)
+    write_calibration(tmp_path / "true.yaml", truth)
+    turn = Pose(rotation_about(np.radians([0.1, 0.0, 0.0])) @ truth.pose.rotation, truth.pose.translation)
+    write_calibration(tmp_path / "turned.yaml", replace(truth, pose=turn))
+    assert main(["check", str(tmp_path / "thing.npz"), "--calibration", str(tmp_path / "true.yaml")]) == 0
+    assert "The calibration holds, as far as rays that meet can tell." in capsys.readouterr().out
+    assert main(["check", str(tmp_path / "thing.npz"), "--calibration", str(tmp_path / "turned.yaml")]) == 1
+    shown = capsys.readouterr().out
+    assert "The calibration does not hold: rays do not meet." in shown
+    turned = re.search(r"A change of the rotation between them by ([0-9.]+)°", shown)
+    assert turned is not None
+    assert 0.095 < float(turned.group(1)) < 0.105
+
+
+def test_a_rig_takes_the_capture_that_checks_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("open3d", exc_type=ImportError)
+    text = (
+        "rig: {backend: simulated, seed: 3, thing: {kind: lump}}\nsequence: {preset: quick}\n"
+        "camera: {width: 306, height: 256}\nprojector: {width: 854, height: 480}\n"
+    )
+    (tmp_path / "rig.yaml").write_text(text)
+    (station,) = thing_stations([0], (306, 256), seed=3)
+    write_calibration(tmp_path / "true.yaml", station.calibration)
+    zoomed = station.calibration.projector.focal_px[0] * 1.01
+    projector = replace(station.calibration.projector, focal_px=(zoomed, zoomed))
+    write_calibration(tmp_path / "zoomed.yaml", replace(station.calibration, projector=projector))
+    arguments = ["check", "--config", str(tmp_path / "rig.yaml"), "--calibration"]
+    assert main([*arguments, str(tmp_path / "true.yaml")]) == 0
+    assert "as far as rays that meet can tell" in capsys.readouterr().out
+    assert main([*arguments, str(tmp_path / "zoomed.yaml")]) == 1
+    assert "The calibration does not hold" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["check"], "scan check needs --config FILE, or captures and --calibration FILE"),
         (["check", "--calibration", "rig.yaml"], "scan check CAPTURE… --calibration FILE"),
-        (["check", "capture", "--calibration", "rig.yaml", "--write"], "--write and --watch are of a live check"),
+        (["check", "capture", "--calibration", "rig.yaml", "--write"], "--write and --watch are of a check without"),
         (["check", "capture", "--calibration", "rig.yaml"], "rig.yaml: cannot be read: no such file"),
     ],
 )
