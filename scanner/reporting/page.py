@@ -4,7 +4,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from calib.finding import of_kinds
 from calib.numerics import in_parallel
+from calib.scene import BY_SCENE
 from scanner.quantities import plain
 from scanner.rendering import page
 from scanner.reporting import sections
@@ -71,6 +73,7 @@ def write_report(path: Path, report: ReportInput) -> None:
         configuration=sections.configuration(report.provenance),
         verdict=decision,
         method=solution.method if solution else None,
+        by_scene=bool(of_kinds(report.findings, BY_SCENE)),
         tables=tables,
         has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),
         plain=plain,

@@ -12,6 +12,7 @@ import pytest
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import DeviceSigmas, Sigmas
 from calib.pointcloud import Cloud
+from calib.scene import BY_SCENE
 from scanner.capture import CaptureMetadata
 from scanner.decoding import UNCHECKED, MaskReason
 from scanner.patterns import sequence_for
@@ -156,6 +157,17 @@ def test_a_given_calibration_has_no_sigmas_and_no_profile(calibrated: ReportInpu
     assert "Reconstructed with the calibration that was given" in page.text
     assert "standard deviation" not in page.text
     assert "profile" not in page.ids()
+
+
+def test_a_calibration_by_what_captures_share_was_not_given(calibrated: ReportInput, tmp_path: Path) -> None:
+    decoded, cloud = _parts(calibrated)
+    by_scene = Finding(BY_SCENE, Severity.NOTE, "Calibrated without a corner, by 500 points.")
+    joint = replace(calibrated.joint, findings=(by_scene,))
+    found = Reconstructed(GivenCalibration(decoded, _calibrated(calibrated).calibration), cloud)
+    _, page = page_of(replace(calibrated, outcome=found, joint=joint), tmp_path)
+    assert "Found by what the captures share, without a corner." in page.text
+    assert "Calibrated without a corner, by 500 points." in page.text
+    assert "given" not in page.text
 
 
 def test_matches_alone_make_a_report(calibrated: ReportInput, tmp_path: Path) -> None:
