@@ -17,7 +17,7 @@ _PARALLEL = (8 * 2.0**-52) ** 2
 _LENS_STEPS = 3
 # Largest last step towards an ideal point: the error after it, about its square, is below the rounding of a pixel.
 _CONVERGED = 3e-5
-_PARALLEL = 1e-15  # squared sine of the angle between rays of length 1
+_LEAST_DETERMINANT = 1e-15  # of two rays; with length 1, the squared sine of their angle
 _NUMBERS = 8  # numbers per match, to choose pieces that fit into the cache
 
 
@@ -233,7 +233,8 @@ def depths_of_rays(turned: Floats, directions: Floats, translation: Floats) -> F
     p, q, t = turned, directions, translation
     a, b, c = (np.sum(x * y, axis=1) for x, y in ((p, p), (p, q), (q, q)))
     e, g = q @ t, p @ t
-    depths: Floats = np.stack([b * e - c * g, a * e - b * g], axis=1) / np.maximum(a * c - b**2, _PARALLEL)[:, None]
+    determinant = np.maximum(a * c - b**2, _LEAST_DETERMINANT)
+    depths: Floats = np.stack([b * e - c * g, a * e - b * g], axis=1) / determinant[:, None]
     return depths
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.geometry import depths_of_rays
 from calib.networks.network import PER_NODE, Device
 from calib.numerics import Floats
 
@@ -16,12 +17,7 @@ def meeting_points(camera: Device, projector: Device, camera_px: Floats, project
         device.pose.rotate(device.rays(pixels)[0])
         for device, pixels in ((camera, camera_px), (projector, projector_px))
     )
-    u, v = (rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in (u, v))
-    apart = projector.pose.translation - camera.pose.translation
-    cosine = np.sum(u * v, axis=1)
-    along_u, along_v = u @ apart, v @ apart
-    sine_2 = 1 - cosine**2
-    s, t = (along_u - cosine * along_v) / sine_2, (cosine * along_u - along_v) / sine_2
+    s, t = depths_of_rays(u, v, camera.pose.translation - projector.pose.translation).T
     first, second = camera.pose.translation + s[:, None] * u, projector.pose.translation + t[:, None] * v
     middle: Floats = (first + second) / 2
     return middle

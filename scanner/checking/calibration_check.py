@@ -21,7 +21,7 @@ from scanner.io import read_calibration
 from scanner.jobs import scan
 from scanner.reconstruction import read_captures
 from scanner.results import CALIBRATION_FILE, Decoded, Verdict, read_uncertainty
-from scanner.rooms import read_recording, state_of
+from scanner.rooms import state_of
 from scanner.ui import Terminal
 
 _MATCHES = 6000
@@ -51,8 +51,7 @@ def check_calibration(
     try:
         scan = calibrate(captures, config, out, terminal=terminal)
     except RefusalError as refusal:
-        sizes = calibration.sizes
-        decoded = read_captures(captures, *sizes, decode=lambda path: read_recording(path, config, terminal))
+        decoded = read_captures([out], *calibration.sizes)  # a refused result keeps its matches
         return CalibrationCheck(None, _verdict_by_lines(calibration, stated, decoded, refusal))
     estimate = scan.newest.uncertainty
     if estimate is None:
