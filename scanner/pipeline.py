@@ -44,6 +44,7 @@ from scanner.quantities import UNKNOWN_UNIT
 from scanner.reconstruction import (
     EarlyMatches,
     calibrate,
+    find_change_in,
     guide,
     label,
     merge,
@@ -225,7 +226,8 @@ def replay_calibrated(
             else:
                 given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
             captures = triangulate([given], reached, terminal)
-        return _finished(Scan(captures), config, folder, terminal, matches)
+        result = Scan(captures, own_findings=find_change_in([found], given.calibration, given.stated))
+        return _finished(result, config, folder, terminal, matches)
 
 
 def decode_recording(recording: Recording, terminal: Progress, calibration: Calibration | None = None) -> Decoded:

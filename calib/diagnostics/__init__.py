@@ -11,6 +11,7 @@ from calib.diagnostics.comparison import Difference, compare
 from calib.diagnostics.contradiction import (
     RIG_CHANGED,
     ContradictionError,
+    RigChange,
     explain_change,
     refuse_changed_rig,
     refuse_contradiction,

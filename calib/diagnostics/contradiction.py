@@ -1,6 +1,7 @@
 """Tests whether captures of a corner and prior knowledge of the rig are consistent with one unchanged rig."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -25,15 +26,18 @@ from calib.refusal import RefusalError
 _SIGNIFICANT = 0.9999
 _INFORMATIVE = 1e-3  # relative reduction of a variance: below it, corners carry no information along that direction
 _NAMED = 3
+_MOST_OF_IT = "Most of it is explained by a change of"
+_FACTORS = {"%": 100.0, "°": 180 / np.pi}
+# Columns, unit, and how far such a parameter usually changes: where two explain a step alike, the usual change is it.
 _ROWS = (
-    ("the camera's focal length", (CAMERA.start,), "%"),
-    ("the camera's principal point", (CAMERA.start + 1, CAMERA.start + 2), "px"),
-    ("the camera's distortion", (CAMERA.start + 3, CAMERA.start + 4), ""),
-    ("the projector's focal length", (PROJECTOR.start,), "%"),
-    ("the projector's principal point", (PROJECTOR.start + 1, PROJECTOR.start + 2), "px"),
-    ("the projector's distortion", (PROJECTOR.start + 3, PROJECTOR.start + 4), ""),
-    ("the rotation between them", tuple(range(ROTATION.start, ROTATION.stop)), "°"),
-    ("the direction of the baseline", tuple(range(TRANSLATION.start, TRANSLATION.stop)), "°"),
+    ("the camera's focal length", (CAMERA.start,), "%", 0.01),
+    ("the camera's principal point", (CAMERA.start + 1, CAMERA.start + 2), "px", 5.0),
+    ("the camera's distortion", (CAMERA.start + 3, CAMERA.start + 4), "", 0.01),
+    ("the projector's focal length", (PROJECTOR.start,), "%", 0.01),
+    ("the projector's principal point", (PROJECTOR.start + 1, PROJECTOR.start + 2), "px", 5.0),
+    ("the projector's distortion", (PROJECTOR.start + 3, PROJECTOR.start + 4), "", 0.01),
+    ("the rotation between them", tuple(range(ROTATION.start, ROTATION.stop)), "°", 0.01),
+    ("the direction of the baseline", tuple(range(TRANSLATION.start, TRANSLATION.stop)), "°", 0.01),
 )
 
 RIG_CHANGED = FindingKind(
@@ -80,14 +84,14 @@ def refuse_changed_rig(alone: Mapping[int, Uncertainty]) -> None:
     both covariances, as if they were independent, so that differences are rather taken for smaller than they are.
     """
     limit = float(chdtri(SHARED, 1 - _SIGNIFICANT))
-    worst: tuple[float, int, int, str] | None = None
+    worst: tuple[float, int, int, RigChange] | None = None
     for (first, one_fit), (second, another_fit) in combinations(alone.items(), 2):
         covariance = one_fit.covariance + another_fit.covariance
         rig = KnownRig(one_fit.state, covariance)
         step = rig.step_to(another_fit.rig)
         cost = float(step @ rig.precision @ step)
         if cost > (limit if worst is None else worst[0]):
-            worst = cost, first + 1, second + 1, _likeliest_change(rig.precision, step, limit)
+            worst = cost, first + 1, second + 1, explain_change(step, rig.precision)
     if worst is not None:
         cost, first, second, change = worst
         raise ContradictionError(
@@ -99,12 +103,57 @@ def refuse_changed_rig(alone: Mapping[int, Uncertainty]) -> None:
         )
 
 
-def explain_change(step: Floats, precision: Floats) -> tuple[float, str]:
-    """How much less likely than the limit of chance (1) a step (21,) of the rig is, and the parameter that explains it
-    if it alone has changed, in words. `precision` (21, 21): the inverse of its covariance.
+@dataclass(frozen=True, eq=False)
+class RigChange:
+    """A step of a rig, by the parameter that explains it best if that alone has changed."""
+
+    times: float
+    """How much less likely the step is than the limit of chance (0.9999), which is 1."""
+    name: str
+    """The parameter, in words."""
+    amount: float
+    """By how much it has changed, in `unit`."""
+    sigma: float
+    """Standard deviation of `amount`."""
+    unit: str
+    """%, px, ° or nothing."""
+    step: Floats
+    """(21,): that of the rig if the parameter alone has changed."""
+    is_all: bool
+    """Whether what it leaves over is chance."""
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether chance does not explain the step."""
+        return self.times > 1
+
+    def __str__(self) -> str:
+        """A sentence without a full stop."""
+        amount = f"{self.name} by {_amount(self.amount, self.unit)} ± {_amount(self.sigma, self.unit)}"
+        return f"A change of {amount} explains it" if self.is_all else f"{_MOST_OF_IT} {amount}, but not all"
+
+
+def explain_change(step: Floats, precision: Floats) -> RigChange:
+    """The parameter that explains a step (21,) of the rig best. `precision` (21, 21): inverse covariance of the step.
+
+    Most parameters are known too little by themselves for a difference to show; their combination is not.
     """
     limit = float(chdtri(SHARED, 1 - _SIGNIFICANT))
-    return float(step @ precision @ step) / limit, _likeliest_change(precision, step, limit)
+    pull = precision @ step
+    cost = float(step @ pull)
+    changes = []
+    for name, columns, unit, usual in _ROWS:
+        chosen = list(columns)
+        own = precision[np.ix_(chosen, chosen)]
+        change = np.asarray(np.linalg.solve(own, pull[chosen]), np.float64)
+        left = cost - float(change @ pull[chosen])
+        alone = np.zeros(SHARED)
+        alone[chosen] = change
+        size, factor = float(np.linalg.norm(change)), _FACTORS.get(unit, 1.0)
+        sigma = float(change @ np.linalg.solve(own, change)) ** 0.5 / max(size, 1e-300)
+        described = RigChange(cost / limit, name, factor * size, factor * sigma, unit, alone, left <= limit)
+        changes.append((left + (size / usual) ** 2, described))
+    return min(changes, key=lambda change: change[0])[1]
 
 
 def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
@@ -123,29 +172,9 @@ def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
     return factor * float(chdtri(float(np.sum(widths)) ** 2 / float(np.sum(widths**2)), 1 - _SIGNIFICANT))
 
 
-def _likeliest_change(precision: Floats, step: Floats, limit: float) -> str:
-    """The parameter that explains a step (21,) best if it alone has changed, in words.
-
-    Most parameters are known too little by themselves for a difference to show; their combination is not.
-    """
-    pull = precision @ step
-    left, text = np.inf, ""
-    for name, columns, unit in _ROWS:
-        chosen = list(columns)
-        change = np.asarray(np.linalg.solve(precision[np.ix_(chosen, chosen)], pull[chosen]), np.float64)
-        explained = float(change @ pull[chosen])
-        if float(step @ pull) - explained < left:
-            left = float(step @ pull) - explained
-            text = f"{_amount(name, change, unit)} ({np.sqrt(max(explained, 0.0)):.0f} sigmas)"
-    if left > limit:
-        return f"Most of it is explained by a change of {text}, but not all"
-    return f"A change of {text} explains it"
-
-
-def _amount(name: str, change: Floats, unit: str) -> str:
-    """A parameter and how much it differs, in words."""
-    size = float(np.linalg.norm(change)) * {"%": 100.0, "°": 180 / np.pi}.get(unit, 1.0)
-    return f"{name} by {size:.2g}{' ' if unit not in ('', '°') else ''}{unit}"
+def _amount(amount: float, unit: str) -> str:
+    """A change in words."""
+    return f"{amount:.2g}{' ' if unit not in ('', '°') else ''}{unit}"
 
 
 def _differences_from(rig: KnownRig, apart: Fit, free: Bools) -> str:
@@ -158,9 +187,10 @@ def _differences(step: Floats, variance: Floats) -> str:
     """The parameters that differ by most sigmas, in words, by a step (21,) with its variance (21,)."""
     sigmas = np.abs(step) / np.sqrt(np.maximum(variance, 1e-18))
     rows = []
-    for name, columns, unit in _ROWS:
+    for name, columns, unit, _ in _ROWS:
         chosen = list(columns)
         worst = float(sigmas[chosen].max())
-        rows.append((worst, f"{_amount(name, step[chosen], unit)} ({worst:.1f} sigmas)"))
+        size = float(np.linalg.norm(step[chosen])) * _FACTORS.get(unit, 1.0)
+        rows.append((worst, f"{name} by {_amount(size, unit)} ({worst:.1f} sigmas)"))
     rows.sort(reverse=True)
     return ", ".join(text for _, text in rows[:_NAMED])

@@ -8,5 +8,5 @@ from calib.scene.calibrate import (
     calibrate_scene,
     recalibrate_scene,
 )
-from calib.scene.epipolar_lines import rig_by_lines
+from calib.scene.given_calibration import CALIBRATION_CHANGED, LineTest, compare_with_lines, find_change
 from calib.scene.problem import FEWEST_STATIONS

@@ -181,7 +181,12 @@ def recalibrate_scene(
     poses = tuple(Pose(motion.rotation, motion.translation / start.baseline) for motion in motions)
     rig = State(device_of(start.camera), device_of(start.projector), start.pose.in_baselines)
     scene = RigidScene(rig, poses, np.zeros((0, 3)))
-    begun = SceneProblem(scene, NOTHING_OBSERVED, some_matches(views, _MATCHES // len(views)), knowledge.prior(rig))
+    begun = SceneProblem(
+        scene,
+        NOTHING_OBSERVED,
+        some_matches([view.matches for view in views], _MATCHES // len(views)),
+        knowledge.prior(rig),
+    )
     sharp = sharpened(begun, scene, views)
     if sharp is None:
         raise _nothing_common(0, 0, len(captures))
@@ -275,7 +280,7 @@ def _problem(
     observations, points = observe(moving, views, pairs, places)
     if len(points) < FEWEST_POINTS:
         return None
-    matches = some_matches([views[k] for k in places], _MATCHES // len(places))
+    matches = some_matches([views[k].matches for k in places], _MATCHES // len(places))
     scene = RigidScene(start.rig, tuple(places.values()), points)
     return SceneProblem(scene, observations, matches, knowledge.prior(start.rig)), tuple(places)
 

@@ -1,15 +1,17 @@
 """What matches say of a rig by their epipolar lines alone: little, but from one capture of anything."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import Matches
-from calib.numerics import Floats, Ints, clustered_scatter, huber_weights, robust_sigma
-from calib.refinement import SHARED, State
+from calib.geometry import Calibration, Intrinsics, Matches
+from calib.numerics import Floats, Ints, clustered_scatter, huber_loss, huber_weights, robust_sigma
+from calib.refinement import SHARED, State, device_of
 from calib.scene.bundle import HUBER_SIGMAS, ErrorScales, missed
 
 _STEPS, _CONVERGED = 12, 1e-3  # sigmas
+_HALVINGS = 6  # of a step that makes it worse
+_AS_STATED = ErrorScales(1.0, 1.0, 1.0)
 _BLOCK_PX = 32.0  # of the camera: decoders' errors are smooth
 # Standard deviations of what lines do not tell, about the given rig: wide for any change of the same devices.
 _OF_DEVICE = (0.2, 60.0, 60.0, 0.02, 0.05, 1e-3, 1e-3, 1e-3)
@@ -39,21 +41,32 @@ def rig_by_lines(given: State, matches: Matches) -> RigByLines:
     sigma = np.ones(len(matches)) if matches.sigma_px is None else matches.sigma_px
     precision = _LOOSE**-2.0
     rig, moved = given, np.zeros(SHARED)
-    scales = []
+    miss, by_shared = missed(rig, matches, _AS_STATED)
+    scales = [max(robust_sigma(miss), 1e-3)]
     for _ in range(_STEPS):
-        miss, by_shared = missed(rig, matches, ErrorScales(1.0, 1.0, 1.0))
+        scale = scales[-1]
+        weight = huber_weights(np.abs(miss) / scale, HUBER_SIGMAS)
+        normal = (by_shared * weight[:, None]).T @ by_shared / scale**2 + np.diag(precision)
+        step = -_solved(normal, by_shared.T @ (weight * miss) / scale**2 + precision * moved)
+        cost = _cost(miss, scale, moved)
+        for _ in range(_HALVINGS):
+            next_miss, next_by_shared = missed(rig.moved(step), matches, _AS_STATED)
+            if _cost(next_miss, scale, moved + step) < cost:
+                break
+            step /= 2
+        else:
+            break
+        rig, moved, miss, by_shared = rig.moved(step), moved + step, next_miss, next_by_shared
         scales.append(max(robust_sigma(miss), 1e-3))
-        miss, by_shared = miss / scales[-1], by_shared / scales[-1]
-        weight = huber_weights(np.abs(miss), HUBER_SIGMAS)
-        normal = (by_shared * weight[:, None]).T @ by_shared + np.diag(precision)
-        step = -_solved(normal, by_shared.T @ (weight * miss) + precision * moved)
-        rig, moved = rig.moved(step), moved + step
         if float(step @ normal @ step) < _CONVERGED**2:
             break
+    weight = huber_weights(np.abs(miss) / scales[-1], HUBER_SIGMAS)
+    miss, by_shared = miss / scales[-1], by_shared / scales[-1]
+    normal = (by_shared * weight[:, None]).T @ by_shared + np.diag(precision)
     # The valley of what lines do not tell is curved: how far the given rig is off is judged by the slope at it.
     scatter = clustered_scatter((weight * miss)[:, None] * by_shared, _blocks(matches.camera_px)) + np.diag(precision)
     scatter -= normal
-    miss, by_shared = missed(given, matches, ErrorScales(1.0, 1.0, scales[-1]))
+    miss, by_shared = missed(given, matches, _AS_STATED.times(scales[-1]))
     normal = (by_shared * weight[:, None]).T @ by_shared + np.diag(precision)
     scatter += normal
     step = -_solved(normal, by_shared.T @ (weight * miss))
@@ -64,6 +77,35 @@ def rig_by_lines(given: State, matches: Matches) -> RigByLines:
     turned = root @ directions
     usual = float(np.median(sigma))
     return RigByLines(step, (turned / np.maximum(excess, 1.0)) @ turned.T, usual * scales[0], usual * scales[-1])
+
+
+def _cost(miss: Floats, scale: float, moved: Floats) -> float:
+    """Of misses (L,) with this standard deviation, and of a rig's step (21,) from the given one."""
+    return float(huber_loss(np.abs(miss) / scale, HUBER_SIGMAS).sum() + np.sum((moved / _LOOSE) ** 2))
+
+
+def in_square_pixels(calibration: Calibration, matches: Matches) -> tuple[State, Matches]:
+    """The rig with square pixels, in baselines, and the matches as its devices would have them.
+
+    Each coordinate is stretched about the principal point to the mean of both focal lengths, which changes no ray.
+    """
+    (camera, camera_px), (projector, projector_px) = (
+        _in_square_pixels(device, np.asarray(pixels, np.float64))
+        for device, pixels in (
+            (calibration.camera, matches.camera_px),
+            (calibration.projector, matches.projector_px),
+        )
+    )
+    return State(camera, projector, calibration.pose.in_baselines), replace(
+        matches, camera_px=camera_px, projector_px=projector_px
+    )
+
+
+def _in_square_pixels(device: Intrinsics, pixels: Floats) -> tuple[Floats, Floats]:
+    """A device (8,) of one focal length, and pixels (N, 2) as it would have them."""
+    focal, centre = float(np.mean(device.focal_px)), np.array(device.principal_point_px)
+    stretched: Floats = centre + (pixels - centre) * (focal / np.array(device.focal_px))
+    return device_of(replace(device, focal_px=(focal, focal))), stretched
 
 
 def _solved(normal: Floats, right: Floats) -> Floats:

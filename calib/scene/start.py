@@ -53,7 +53,7 @@ def starts_of(
     used = sorted(pairs, key=lambda pair: -len(pairs[pair][0]))[:_PAIRS]
     (width, _), (wide, high) = sizes
     trials = []
-    sample = some_matches(views, 100)
+    sample = some_matches([view.matches for view in views], 100)
     for camera_focal in _FOCALS * width:
         for projector_focal in _FOCALS * wide:
             for height in _LENS_SHIFTS:
@@ -73,7 +73,7 @@ def with_motions(
 
 
 def _fundamental(views: Sequence[SceneView]) -> Floats | None:
-    matches = some_matches(views, _MATCHES)
+    matches = some_matches([view.matches for view in views], _MATCHES)
     if len(matches) < 50:
         return None
     cv2.setRNGSeed(0)

@@ -123,9 +123,9 @@ def matched_pairs(views: Sequence[SceneView]) -> dict[tuple[int, int], tuple[Int
     return pairs
 
 
-def some_matches(views: Sequence[MatchedView], count: int) -> Matches:
-    """At most `count` matches of each view at random, with sigmas."""
-    chosen = [view.matches[at_random(len(view.matches), count)] for view in views]
+def some_matches(captures: Sequence[Matches], count: int) -> Matches:
+    """At most `count` matches of each capture at random, with sigmas: 1 where none are stated."""
+    chosen = [matches[at_random(len(matches), count)] for matches in captures]
     return Matches(
         np.concatenate([matches.camera_px for matches in chosen]),
         np.concatenate([matches.projector_px for matches in chosen]),

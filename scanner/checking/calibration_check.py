@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnostics import Uncertainty, explain_change
-from calib.geometry import Calibration, Matches
-from calib.numerics import Floats, at_random
+from calib.geometry import Calibration
+from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR, SHARED, KnownRig
 from calib.refusal import RefusalError
-from calib.scene import rig_by_lines
+from calib.scene import compare_with_lines
 from scanner.calibration_job import calibrate
 from scanner.comparing import CalibrationComparison, compare_files, comparison_verdict
 from scanner.configuration import Config, load_config
@@ -20,7 +20,7 @@ from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.jobs import scan
 from scanner.reconstruction import read_captures
-from scanner.results import CALIBRATION_FILE, Decoded, Verdict, read_uncertainty
+from scanner.results import Decoded, Verdict, calibration_file, read_uncertainty
 from scanner.rooms import state_of
 from scanner.ui import Terminal
 
@@ -45,7 +45,7 @@ def check_calibration(
 
     Captures that determine no calibration still tell whether rays meet. Raises InputError.
     """
-    file = given / CALIBRATION_FILE if given.is_dir() else given
+    file = calibration_file(given)
     calibration = read_calibration(file)
     stated = read_uncertainty(file, calibration)
     try:
@@ -72,7 +72,7 @@ def config_of(given: Path, overrides: Sequence[str] = ()) -> Config:
 
     Raises InputError.
     """
-    sizes = read_calibration(given / CALIBRATION_FILE if given.is_dir() else given).sizes
+    sizes = read_calibration(calibration_file(given)).sizes
     keys = [
         f"{device}.{name}={getattr(size, name)}"
         for device, size in zip(("camera", "projector"), sizes, strict=True)
@@ -91,7 +91,7 @@ def _verdict(
     if verdict.grade != "refused":
         return replace(verdict, headline="The calibration holds, as far as these captures can tell.", reasons=reasons)
     rig = KnownRig(state, covariance + estimate.covariance)
-    _, change = explain_change(rig.step_to(estimate.rig), rig.precision)
+    change = explain_change(rig.step_to(estimate.rig), rig.precision)
     return Verdict(
         "refused",
         "The calibration does not hold.",
@@ -104,26 +104,16 @@ def _verdict_by_lines(
     given: Calibration, stated: Uncertainty | None, captures: Sequence[Decoded], refusal: RefusalError
 ) -> Verdict:
     """Whether the rays of captures meet that determine no calibration."""
-    state, covariance = state_of(given), np.zeros((SHARED, SHARED)) if stated is None else stated.covariance
-    chosen = [capture.matches[at_random(len(capture.matches), _MATCHES // len(captures))] for capture in captures]
-    sigmas = [np.ones(len(some)) if some.sigma_px is None else some.sigma_px for some in chosen]
-    matches = Matches(
-        np.concatenate([some.camera_px for some in chosen]).astype(np.float64),
-        np.concatenate([some.projector_px for some in chosen]).astype(np.float64),
-        None,
-        np.concatenate(sigmas).astype(np.float64),
-    )
-    lines = rig_by_lines(state, matches)
-    precision = lines.information @ np.linalg.inv(np.eye(SHARED) + covariance @ lines.information)
-    times, change = explain_change(lines.step, precision)
+    test = compare_with_lines(given, stated, [capture.matches for capture in captures], _MATCHES)
     reasons = (
-        f"Under it rays miss each other by {lines.given_px:.2g} projector px (one standard deviation); at best they "
-        f"would by {lines.best_px:.2g}.",
+        f"Under it rays miss each other by {test.lines.given_px:.2g} projector px (one standard deviation); at best "
+        f"they would by {test.lines.best_px:.2g}.",
         f"Only whether rays meet was tested; a change that leaves them meeting is not seen. {refusal.reason}",
     )
-    if times <= 1:
+    if test.holds:
         return Verdict("good", "The calibration holds, as far as rays that meet can tell.", reasons, _FOR_MORE)
-    return Verdict("refused", "The calibration does not hold: rays do not meet.", (f"{change}.", *reasons), _FOR_MORE)
+    headline = "The calibration does not hold: rays do not meet."
+    return Verdict("refused", headline, (f"{test.change}.", *reasons), _FOR_MORE)
 
 
 def _focal_lengths(step: Floats, given: Floats, estimate: Floats) -> Iterator[str]:

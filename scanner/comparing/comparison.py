@@ -13,7 +13,7 @@ from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_matches, refuse_other_sizes
 from scanner.measuring import rig_errors
 from scanner.quantities import UNKNOWN_UNIT, metres_per, parse_length
-from scanner.results import CALIBRATION_FILE, read_uncertainty
+from scanner.results import calibration_file, read_uncertainty
 
 _COLUMNS = 16
 _MOST_MATCHES = 20_000
@@ -92,7 +92,7 @@ def compare_files(first: Path, second: Path, depths: Sequence[str] = ()) -> Cali
 
 
 def _read(path: Path) -> SystematicErrors:
-    file = path / CALIBRATION_FILE if path.is_dir() else path
+    file = calibration_file(path)
     calibration = read_calibration(file)
     if calibration.unit != UNKNOWN_UNIT:
         metres_per(calibration.unit)  # raises if it is no unit of length

@@ -36,7 +36,7 @@ from scanner.configuration import Config
 from scanner.objects.contents import SolvedObject
 from scanner.reconstruction import refuse_foreign, scaled
 from scanner.results import Decoded, naming
-from scanner.rooms import OutlierStation, RigStart, Station
+from scanner.rooms import OutlierStation, RigStart, Station, find_change_of
 from scanner.ui import Progress
 
 _LOOSE_DEG, _LOOSE_OF_SIZE = 0.5, 0.01
@@ -96,7 +96,8 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
     if len(captures) < FEWEST_TO_REST:
         _refuse_unturned(joint.places)
     solved = _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
-    return replace(solved, uncertainty=start.uncertainty, findings=start.findings)
+    changed = find_change_of(start, [station.decoded for station in solved.stations])
+    return replace(solved, uncertainty=start.uncertainty, findings=(*start.findings, *changed))
 
 
 def _refuse_unturned(places: Sequence[Pose]) -> None:

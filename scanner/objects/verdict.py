@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.finding import Finding, FindingKind, Severity, without_kinds
+from calib.finding import Finding, FindingKind, Severity, of_kinds, without_kinds
 from calib.refusal import AMBIGUOUS
-from calib.scene import BY_SCENE
+from calib.scene import BY_SCENE, CALIBRATION_CHANGED
 from scanner.objects.contents import SolvedObject
 from scanner.quantities import shown_unit
 from scanner.results import Verdict, fit_together
@@ -35,6 +35,9 @@ def verdict_on(solved: SolvedObject) -> Verdict:
     if decisive is not None and decisive.kind == LOOSE_STATIONS:
         return Verdict("refused", decisive.message, reasons, decisive.advice, findings, kinds)
     together = fit_together(len(names), len(names) + len(solved.outlier_stations), "object")
+    if changed := of_kinds(findings, CALIBRATION_CHANGED):
+        headline = f"{together}, but with a calibration that no longer holds."
+        return Verdict("fair", headline, reasons, changed[0].advice, findings, kinds)
     if weakness := weakness_of(solved.calibration, findings):
         return Verdict("fair", f"{together}, but {weakness}", reasons, BY_SCENE.remedy, findings, kinds)
     if solved.outlier_stations:

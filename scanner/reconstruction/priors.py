@@ -13,7 +13,7 @@ from calib.self_calibration import KnownCalibration
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration
-from scanner.results import CALIBRATION_FILE, read_uncertainty
+from scanner.results import CALIBRATION_FILE, calibration_file, read_uncertainty
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ def lenses_by_name(config: Config, cameras: Mapping[str, Size], projectors: Mapp
     lenses = dict.fromkeys([*cameras, *projectors], ordinary)
     if setting.source is None:
         return lenses
-    file = setting.source / CALIBRATION_FILE if setting.source.is_dir() else setting.source
+    file = calibration_file(setting.source)
     calibration = read_calibration(file)
     sigma = calibration.sigma
     known = {
@@ -90,7 +90,7 @@ def read_known(paths: Sequence[Path], camera_size: Size, projector_size: Size) -
             "of boards to one scan board"
         )
     (path,) = given
-    return _read(path / CALIBRATION_FILE if path.is_dir() else path, camera_size, projector_size)
+    return _read(calibration_file(path), camera_size, projector_size)
 
 
 def _read(file: Path, camera_size: Size, projector_size: Size) -> KnownCalibration:

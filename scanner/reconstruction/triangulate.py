@@ -4,13 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.finding import FindingKind
-from calib.geometry import Size
+from calib.diagnostics import Uncertainty
+from calib.finding import Finding, FindingKind
+from calib.geometry import Calibration, Size
 from calib.pointcloud import CloudStatistics, build_cloud
 from calib.refusal import RefusalError
+from calib.scene import find_change
 from scanner.decoding import Decoding, MaskReason
 from scanner.reconstruction.moved_captures import refuse_moved
-from scanner.results import Calibrated, GivenCalibration, Reconstructed, Stage, naming
+from scanner.results import Calibrated, Decoded, GivenCalibration, Reconstructed, Stage, naming
 from scanner.ui import Progress
 
 # Ray residuals beyond this over the whole image mean another rig or a changed pose.
@@ -63,6 +65,17 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
                 refuse_misfit(cloud.statistics)
         reconstructed.append(stage)
     return tuple(reconstructed)
+
+
+def find_change_in(
+    captures: Sequence[Decoded], calibration: Calibration, stated: Uncertainty | None
+) -> tuple[Finding, ...]:
+    """A warning if rays of captures do not meet under a given calibration, whose covariance may be `stated`; else ().
+
+    A capture of one axis has its other coordinate from the calibration, and tests nothing.
+    """
+    both_axes = [capture.matches for capture in captures if capture.only_axis is None]
+    return find_change(calibration, stated, both_axes)
 
 
 def refuse_foreign(statistics: CloudStatistics, projector_size: Size) -> None:

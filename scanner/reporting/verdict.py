@@ -1,6 +1,6 @@
 """Can one trust this result? The answer in plain words, from the numbers."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from calib.diagnostics import FROM_ONE_PLACE
 from calib.finding import Finding, of_kinds
 from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
-from calib.scene import BY_SCENE
+from calib.scene import BY_SCENE, CALIBRATION_CHANGED
 from scanner.capture import CHANGED_SHAPE
 from scanner.decoding import ONE_AXIS, UNCHECKED, UNSEEN_MOTION
 from scanner.patterns import Axis
@@ -88,10 +88,15 @@ def _of_outcome(report: ReportInput) -> Verdict:
         case Reconstructed(calibrated, cloud) if by_scene := of_kinds(report.findings, BY_SCENE):
             return _of_scene(calibrated.calibration, cloud.statistics, by_scene[0], report.metadata.pixels)
         case Reconstructed(cloud=cloud):
-            return _of_given(cloud.statistics, report.metadata.pixels)
+            changed = of_kinds(report.findings, CALIBRATION_CHANGED)
+            return _of_given(cloud.statistics, report.metadata.pixels, changed)
 
 
-def _of_given(statistics: CloudStatistics, pixels: str) -> Verdict:
+def _of_given(statistics: CloudStatistics, pixels: str, changed: Sequence[Finding]) -> Verdict:
+    if changed:
+        reasons = (changed[0].message, *_about_cloud(statistics, pixels))
+        headline = "Reconstructed with a calibration that no longer holds"
+        return Verdict("fair", headline, reasons, changed[0].advice, kinds=(CALIBRATION_CHANGED,))
     reasons = (
         "The calibration was taken as given; only its agreement with the matches was checked.",
         *_about_cloud(statistics, pixels),

@@ -35,6 +35,7 @@ from scanner.results.names import (
     ROOM_MESH_FILE,
     STEPS_FILE,
     TRUTH_FILE,
+    calibration_file,
     default_out,
     folder_of,
     path_beside,

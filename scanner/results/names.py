@@ -59,6 +59,11 @@ _OURS = {
 }
 
 
+def calibration_file(given: Path) -> Path:
+    """The calibration of a result folder, or the file itself."""
+    return given / CALIBRATION_FILE if given.is_dir() else given
+
+
 def folder_of(result: Path, index: int, count: int) -> Path:
     """Return the folder of capture `index` of `count` in a result: the newest, which is the last, is at the top."""
     return result if index == count - 1 else result / CAPTURES_FOLDER / str(index + 1)

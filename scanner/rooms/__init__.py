@@ -3,7 +3,7 @@
 from scanner.rooms.blended_cloud import blended, blended_of
 from scanner.rooms.contents import OutlierStation, RigStart, SolvedRoom, Station
 from scanner.rooms.corner_rig import state_of
-from scanner.rooms.document import given_rig, read_recording, read_stations
+from scanner.rooms.document import find_change_of, given_rig, read_recording, read_stations
 from scanner.rooms.epipolar_lines import CHANGED_RIG
 from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.jobs import scan_room, writing_refusals

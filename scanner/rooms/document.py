@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from calib.finding import Finding
 from calib.geometry import Calibration
 from scanner.capture import CAPTURE_FILE, open_capture
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, real_path
 from scanner.pipeline import decode_recording
-from scanner.reconstruction import read_captures
+from scanner.reconstruction import find_change_in, read_captures
 from scanner.results import CAPTURES_FOLDER, Decoded, read_joined, read_uncertainty
 from scanner.rooms.contents import RigStart
 from scanner.ui import Progress
@@ -66,3 +67,8 @@ def given_rig(path: Path, config: Config) -> RigStart:
     given = read_calibration(path)
     config.refuse_other_sizes(path, *given.sizes)
     return RigStart(given.in_baselines, read_uncertainty(path, given), {}, given)
+
+
+def find_change_of(start: RigStart, stations: Sequence[Decoded]) -> tuple[Finding, ...]:
+    """A warning if the rays of stations do not meet under the calibration that was given, if one was; else ()."""
+    return () if start.given is None else find_change_in(stations, start.calibration, start.uncertainty)

@@ -29,6 +29,7 @@ from scanner.reconstruction import lenses_of, scaled, shifts_of
 from scanner.results import Decoded
 from scanner.rooms.contents import RigStart, SolvedRoom, Station
 from scanner.rooms.corner_rig import ideal_matches, ideal_rig, is_estimated, state_of
+from scanner.rooms.document import find_change_of
 from scanner.rooms.epipolar_lines import CHANGED_RIG, of_another_rig
 from scanner.rooms.outlier_stations import outlier_stations_of
 from scanner.rooms.upright import upright
@@ -306,7 +307,7 @@ def _finished(
     )
     match_px = float(np.nanmedian([noise.match_px for noise in estimate.levels.stations]))
     captures = [each.decoded for each in registered.seen]
-    findings = [*start.findings]
+    findings = [*start.findings, *find_change_of(start, [station.decoded for station in stations])]
     findings += [Finding(NO_FLOOR, Severity.NOTE, _UP_OF_IMAGES)] if floor is None else []
     findings += [Finding(BY_SURFACES, Severity.NOTE, _SURFACES_ALONE)] if by_surfaces else []
     return SolvedRoom(

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.finding import Finding, FindingKind, Severity
+from calib.finding import Finding, FindingKind, Severity, of_kinds
 from calib.refusal import AMBIGUOUS
-from calib.scene import BY_SCENE
+from calib.scene import BY_SCENE, CALIBRATION_CHANGED
 from scanner.quantities import shown_unit
 from scanner.results import Verdict, fit_together
 from scanner.rooms.contents import SolvedRoom
@@ -49,6 +49,9 @@ def verdict_on(room: SolvedRoom) -> Verdict:
         headline = f"{together}, but the lenses have distortion that is not modelled."
         reasons = (decisive.message, *reasons)
         return Verdict("fair", headline, reasons, decisive.advice, findings, (*kinds, UNMODELLED_DISTORTION))
+    if changed := of_kinds(findings, CALIBRATION_CHANGED):
+        headline = f"{together}, but with a calibration that no longer holds."
+        return Verdict("fair", headline, reasons, changed[0].advice, findings, kinds)
     if weakness := weakness_of(room.calibration, findings):
         return Verdict("fair", f"{together}, but {weakness}", reasons, BY_SCENE.remedy, findings, kinds)
     if room.outlier_stations:

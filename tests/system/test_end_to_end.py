@@ -2,7 +2,7 @@
 
 import re
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from pathlib import Path
@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 import yaml
 
-from calib.geometry import NO_FACE, Sigmas
+from calib.finding import of_kinds
+from calib.geometry import NO_FACE, Pose, Sigmas, rotation_about
 from calib.pointcloud import NONE, index_grid
+from calib.scene import CALIBRATION_CHANGED
 from hw.settings import SimulatedRigSettings
 from hw.simulated import place_room
 from scanner.capture import open_capture
 from scanner.configuration import load_config
-from scanner.io import read_calibration, read_matches, read_yaml, write_matches, write_png
+from scanner.io import read_calibration, read_matches, read_yaml, write_calibration, write_matches, write_png
 from scanner.quantities import intrinsic_errors_percent
-from scanner.results import read_finished_scan
+from scanner.results import read_finished_scan, read_verdict
 from tests.support.command_line import names, run
 from tests.support.small_capture import read_listing, with_few_rays, write_listing
 
@@ -107,6 +109,36 @@ def test_a_replay_with_a_known_calibration_only_triangulates(scanned: Scanned, t
     assert used.unit == "m"
     assert read_matches(out).face is None
     assert b"comment unit m" in (out / "cloud.ply").read_bytes()[:300]
+
+
+@pytest.mark.parametrize(("turn_deg", "zoom"), [(0.0, 1.0), (0.3, 1.0), (0.0, 1.005)])
+def test_a_replay_doubts_a_calibration_that_no_longer_holds(
+    scanned: Scanned, tmp_path: Path, capsys: pytest.CaptureFixture[str], turn_deg: float, zoom: float
+) -> None:
+    truth = read_calibration(scanned.result / "truth.yaml")
+    (fx, fy), turn = truth.projector.focal_px, rotation_about(np.radians([0.0, turn_deg, 0.0]))
+    given = replace(
+        truth,
+        projector=replace(truth.projector, focal_px=(zoom * fx, zoom * fy)),
+        pose=Pose(turn @ truth.pose.rotation, truth.pose.translation),
+    )
+    write_calibration(tmp_path / "given.yaml", given)
+    known = ("--calibration", tmp_path / "given.yaml", "--out", tmp_path / "out")
+    assert run("replay", scanned.result / "capture", *known) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    verdict = read_verdict(tmp_path / "out" / "calibration.yaml")
+    assert verdict is not None
+    told = of_kinds(verdict.findings, CALIBRATION_CHANGED)
+    if turn_deg == 0 and zoom == 1:
+        assert told == ()
+        assert "no longer holds" not in shown
+        return
+    (finding,) = told
+    change = "the rotation between them by 0.3°" if turn_deg else "the projector's focal length by 0.5 %"
+    assert f"A change of {change} ± 0.0" in finding.message
+    assert "with a calibration that no longer holds" in shown
+    assert "scan check CAPTURE --calibration FILE --update" in finding.advice
+    assert run("replay", scanned.result / "capture", *known, "--overwrite", "--require", "good", "--quiet") == 4
 
 
 @pytest.fixture(params=["x", "y"])

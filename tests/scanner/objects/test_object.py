@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.deferred_imports import open3d
-from calib.finding import Finding, Severity
-from calib.geometry import DeviceSigmas, Sigmas
+from calib.finding import Finding, Severity, of_kinds
+from calib.geometry import Calibration, DeviceSigmas, Sigmas
 from calib.refusal import RefusalError
-from calib.scene import BY_SCENE
+from calib.scene import BY_SCENE, CALIBRATION_CHANGED
 from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object
 from scanner.objects.surface import area_of, cloud_of, is_closed, surface_of, volume_of
@@ -32,8 +32,9 @@ def _open3d() -> None:
     pytest.importorskip("open3d", exc_type=ImportError)
 
 
-def solved(stations: list[ThingStation], pictures: bool = True) -> SolvedObject:
-    rig = stations[0].calibration
+def solved(stations: list[ThingStation], pictures: bool = True, calibration: Calibration | None = None) -> SolvedObject:
+    """By the true calibration, or another one."""
+    rig = calibration or stations[0].calibration
     start = RigStart(rig.in_baselines, None, {}, rig)
     return solve_object(decoded(stations, CAMERA, pictures), start, config_for(CAMERA), Terminal(quiet=True))
 
@@ -57,6 +58,21 @@ def test_poses_are_found_without_order_or_initial_guess(turned: tuple[list[Thing
         middle = wanted.inverse().translation
         shift = np.linalg.norm(off @ middle - wanted @ middle)
         assert 0 < shift < 2e-4
+
+
+def test_a_calibration_that_no_longer_holds_is_doubted(turned: tuple[list[ThingStation], SolvedObject]) -> None:
+    stations, found = turned
+    assert of_kinds(found.findings, CALIBRATION_CHANGED) == ()
+    truth = stations[0].calibration
+    (fx, fy) = truth.projector.focal_px
+    zoomed = replace(truth, projector=replace(truth.projector, focal_px=(1.005 * fx, 1.005 * fy)))
+    doubted = solved(stations[:4], calibration=zoomed)
+    (finding,) = of_kinds(doubted.findings, CALIBRATION_CHANGED)
+    assert "A change of the projector's focal length by 0.5 % ± 0.0" in finding.message
+    verdict = verdict_on(doubted)
+    assert verdict.grade == "fair"
+    assert verdict.headline.endswith("but with a calibration that no longer holds.")
+    assert finding in verdict.findings
 
 
 def test_the_turntable_is_found(turned: tuple[list[ThingStation], SolvedObject]) -> None:
