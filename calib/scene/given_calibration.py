@@ -8,8 +8,7 @@ import numpy as np
 from calib.diagnostics import RigChange, Uncertainty, explain_change
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Matches
-from calib.numerics import Floats
-from calib.refinement import SHARED, State
+from calib.refinement import SHARED
 from calib.scene.epipolar_lines import RigByLines, in_square_pixels, rig_by_lines
 from calib.scene.views import some_matches
 
@@ -32,10 +31,6 @@ CALIBRATION_CHANGED = FindingKind(
 class LineTest:
     """A given calibration beside the rig near it under which rays meet best."""
 
-    given: State
-    """The calibration, with square pixels."""
-    covariance: Floats
-    """(21, 21): what the calibration states of itself, 0 if nothing."""
     lines: RigByLines
     """What matches say of it."""
     change: RigChange
@@ -60,7 +55,7 @@ def compare_with_lines(
     covariance = np.zeros((SHARED, SHARED)) if stated is None else stated.covariance
     lines = rig_by_lines(given, matches)
     precision = lines.information @ np.linalg.inv(np.eye(SHARED) + covariance @ lines.information)
-    return LineTest(given, covariance, lines, explain_change(lines.step, precision))
+    return LineTest(lines, explain_change(lines.step, precision))
 
 
 def find_change(

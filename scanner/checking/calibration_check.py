@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnostics import Uncertainty, explain_change
-from calib.geometry import Calibration
+from calib.diagnostics import RigChange, Uncertainty, explain_change
+from calib.geometry import Calibration, Matches
 from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR, SHARED, KnownRig
 from calib.refusal import RefusalError
-from calib.scene import compare_with_lines
+from calib.scene import LineTest, compare_with_lines
 from scanner.calibration_job import calibrate
 from scanner.comparing import CalibrationComparison, compare_files, comparison_verdict
 from scanner.configuration import Config, load_config
@@ -20,22 +20,39 @@ from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.jobs import scan
 from scanner.reconstruction import read_captures
-from scanner.results import Decoded, Verdict, calibration_file, read_uncertainty
+from scanner.results import Scan, Verdict, calibration_file, read_uncertainty
 from scanner.rooms import state_of
 from scanner.ui import Terminal
 
-_MATCHES = 6000
+LINE_MATCHES = 6000
 _FOR_MORE = "One capture of a corner, or three of anything from different sides, test all of it."
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CalibrationCheck:
-    """A calibration that was given, beside the one that captures determine without it."""
+    """A calibration that was given, beside what captures say without it."""
 
+    calibration: Calibration
+    """The one that was given."""
+    stated: Uncertainty | None
+    """Its own covariance, if it states one."""
+    matches: tuple[Matches, ...]
+    """Those of the captures."""
+    estimate: Scan | None
+    """What the captures determine by themselves; None if only whether rays meet."""
+    test: LineTest
+    """Whether rays meet under the given one."""
+    change: RigChange
+    """What leads from the given calibration to the captures."""
     comparison: CalibrationComparison | None
-    """Where in the picture they differ; None if only epipolar lines were compared."""
+    """Where in the picture both differ; None without an estimate."""
     verdict: Verdict
     """Whether the given one holds, and what has changed."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the given calibration may be that of the captures."""
+        return self.verdict.grade != "refused"
 
 
 def check_calibration(
@@ -51,13 +68,23 @@ def check_calibration(
     try:
         scan = calibrate(captures, config, out, terminal=terminal)
     except RefusalError as refusal:
-        decoded = read_captures([out], *calibration.sizes)  # a refused result keeps its matches
-        return CalibrationCheck(None, _verdict_by_lines(calibration, stated, decoded, refusal))
+        matches = tuple(capture.matches for capture in read_captures([out], *calibration.sizes))  # kept also then
+        test = compare_with_lines(calibration, stated, matches, LINE_MATCHES)
+        verdict = _verdict_by_lines(test, refusal)
+        return CalibrationCheck(calibration, stated, matches, None, test, test.change, None, verdict)
     estimate = scan.newest.uncertainty
     if estimate is None:
         raise InputError("'method: paper' states no uncertainty to judge a calibration by: use 'method: refined'")
+    matches = tuple(capture.decoded.matches for capture in scan.captures)
+    test = compare_with_lines(calibration, stated, matches, LINE_MATCHES)
     comparison = compare_files(file, out)
-    return CalibrationCheck(comparison, _verdict(comparison, calibration, stated, estimate))
+    state, covariance = state_of(calibration), np.zeros((SHARED, SHARED)) if stated is None else stated.covariance
+    rig = KnownRig(state, covariance + estimate.covariance)
+    step = rig.step_to(estimate.rig)
+    change = explain_change(step, rig.precision)
+    focal_lengths = _focal_lengths(step, covariance, estimate.covariance)
+    verdict = _verdict(comparison, change, (*focal_lengths, *_at_a_metre(comparison)))
+    return CalibrationCheck(calibration, stated, matches, scan, test, change, comparison, verdict)
 
 
 def take_capture(config: Config, out: Path, terminal: Terminal) -> Path:
@@ -81,30 +108,23 @@ def config_of(given: Path, overrides: Sequence[str] = ()) -> Config:
     return load_config(None, [*keys, *overrides])
 
 
-def _verdict(
-    comparison: CalibrationComparison, given: Calibration, stated: Uncertainty | None, estimate: Uncertainty
-) -> Verdict:
+def _verdict(comparison: CalibrationComparison, change: RigChange, by_numbers: tuple[str, ...]) -> Verdict:
     """That of the comparison, in words of one file that is judged."""
     verdict = comparison_verdict(comparison)
-    state, covariance = state_of(given), np.zeros((SHARED, SHARED)) if stated is None else stated.covariance
-    reasons = (*_focal_lengths(state.step_to(estimate.rig), covariance, estimate.covariance), *verdict.reasons)
+    reasons = (*by_numbers, *verdict.reasons)
     if verdict.grade != "refused":
         return replace(verdict, headline="The calibration holds, as far as these captures can tell.", reasons=reasons)
-    rig = KnownRig(state, covariance + estimate.covariance)
-    change = explain_change(rig.step_to(estimate.rig), rig.precision)
     return Verdict(
         "refused",
         "The calibration does not hold.",
         (f"{change}.", *reasons),
-        "If the rig is as it was for these captures, use what they say: it is the result's calibration.yaml.",
+        "If the rig is as it was for these captures, use what they say: it is the result's calibration.yaml, or with "
+        "--update both together.",
     )
 
 
-def _verdict_by_lines(
-    given: Calibration, stated: Uncertainty | None, captures: Sequence[Decoded], refusal: RefusalError
-) -> Verdict:
+def _verdict_by_lines(test: LineTest, refusal: RefusalError) -> Verdict:
     """Whether the rays of captures meet that determine no calibration."""
-    test = compare_with_lines(given, stated, [capture.matches for capture in captures], _MATCHES)
     reasons = (
         f"Under it rays miss each other by {test.lines.given_px:.2g} projector px (one standard deviation); at best "
         f"they would by {test.lines.best_px:.2g}.",
@@ -114,6 +134,18 @@ def _verdict_by_lines(
         return Verdict("good", "The calibration holds, as far as rays that meet can tell.", reasons, _FOR_MORE)
     headline = "The calibration does not hold: rays do not meet."
     return Verdict("refused", headline, (f"{test.change}.", *reasons), _FOR_MORE)
+
+
+def _at_a_metre(comparison: CalibrationComparison) -> Iterator[str]:
+    """By how much lengths are off because of the given calibration, as a share of the distance."""
+    difference = comparison.difference
+    relative = difference.length / difference.depth
+    sigma = difference.length_sigma / difference.depth
+    usual, own = float(np.sqrt(np.mean(relative**2))), float(np.sqrt(np.mean(sigma**2)))
+    yield (
+        f"Apart from a common motion, points under it are off by {100 * usual:.2g} % of their distance, ± "
+        f"{100 * own:.2g} %: {1000 * usual:.2g} mm at one metre, ± {1000 * own:.2g} mm."
+    )
 
 
 def _focal_lengths(step: Floats, given: Floats, estimate: Floats) -> Iterator[str]:

@@ -171,8 +171,10 @@ Exit codes: 0 if a scan would work, even if poorly; 3 if a device fails; 4 if a 
 with --require good, if anything could be better. The results so far are always shown.
 
 With --calibration: whether it holds, what has changed, and by how much, by captures or by one that is taken. One of a
-corner, or three of anything from different sides, test all of it; any other tests whether rays meet. Exit codes: 0 if
-it holds; 1 if not.
+corner, or three of anything from different sides, test all of it; any other tests whether rays meet. --update
+re-estimates it, with the earlier one as what is known before: the new one takes its place, the earlier one is kept
+beside it, and FILE.log.yaml lists both. Exit codes: 0 if it holds, or was updated; 1 if it does not hold; 4 if the
+captures do not suffice for an update, which changes nothing.
 """,
 )
 def of_check(parser: ArgumentParser) -> None:
@@ -180,6 +182,7 @@ def of_check(parser: ArgumentParser) -> None:
     add_paths(parser, "captures", "CAPTURE", captures, nargs="*")
     add_config(parser, required=False)
     add_calibration(parser, "the calibration to check")
+    add_flag(parser, "--update", "with --calibration: estimate it anew from the captures and itself, and keep both")
     add_flag(parser, "--write", "put the exposure and the projector's response into the configuration file")
     parser.add_argument(
         "--watch",

@@ -11,8 +11,10 @@ from scanner.checking import (
     check_calibration,
     check_configured_rig,
     config_of,
+    refuse_no_update,
     table_of,
     take_capture,
+    update_calibration,
     write_check,
 )
 from scanner.commands.shared_arguments import is_enough
@@ -30,6 +32,8 @@ def run(args: Namespace) -> int:
     """Do the work; returns the exit code. Raises InputError, DeviceError, RefusalError, GradeError."""
     if args.captures or args.calibration:
         return _check_calibration(args)
+    if args.update:
+        raise InputError("--update is of a check with --calibration FILE")
     if args.config is None:
         raise InputError("scan check needs --config FILE, or captures and --calibration FILE")
     config = load_config(args.config, args.set)
@@ -65,18 +69,27 @@ def _check_calibration(args: Namespace) -> int:
         )
     if args.write or args.watch:
         raise InputError("--write and --watch are of a check without --calibration")
+    if args.update:
+        refuse_no_update(args.calibration)
     terminal = Terminal(quiet=args.quiet)
     config = load_config(args.config, args.set) if args.config else config_of(args.calibration, args.set)
     with TemporaryDirectory(prefix="scan-check-") as temporary:
         out = args.out or Path(temporary) / "check"
         captures = args.captures or [take_capture(config, Path(temporary) / "capture", terminal)]
         check = check_calibration(args.calibration, captures, config, out, terminal)
-    verdict = check.verdict
-    if check.comparison is not None:
-        terminal.show(table(check.comparison))
-    terminal.show(f"{verdict.sign} {verdict.headline}", *(f"  {reason}" for reason in verdict.reasons))
-    if args.out:
-        terminal.show(f"Result: {args.out} (what the captures say)")
+        verdict = check.verdict
+        if check.comparison is not None:
+            terminal.show(table(check.comparison))
+        terminal.show(f"{verdict.sign} {verdict.headline}", *(f"  {reason}" for reason in verdict.reasons))
+        if args.out:
+            terminal.show(f"Result: {args.out} (what the captures say)")
+        if args.update:
+            between = Path(temporary) / "update"
+            between.mkdir()
+            update = update_calibration(args.calibration, check, captures, config, between, terminal)
+            lists = f"{update.log.name} lists both"
+            terminal.show(f"Updated: {update.file}; the calibration before is {update.kept.name}, and {lists}")
+            return 0
     if verdict.advice:
         terminal.show(f"→ {verdict.advice}")
     return EXIT_DIFFERENT if verdict.grade == "refused" else 0

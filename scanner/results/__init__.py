@@ -1,5 +1,6 @@
 """A result: its folder, its verdict, its metadata."""
 
+from scanner.results.calibration_log import LOGGED, LogEntry, differences, entry_for, log_of, log_text, read_log
 from scanner.results.cloud_steps import read_steps, write_steps
 from scanner.results.finished_result import (
     FinishedResult,
@@ -17,6 +18,7 @@ from scanner.results.names import (
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
     CLOUD_FILE,
+    CLOUD_FILES,
     DENSE_FILE,
     LOG_FILE,
     MERGED_FILE,
