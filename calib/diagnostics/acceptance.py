@@ -17,6 +17,7 @@ from calib.refinement import (
     Cells,
     Fit,
     Knowledge,
+    PrincipalPoint,
     Refinement,
     Straightened,
     covariance_of,
@@ -267,13 +268,22 @@ def far_from_square(refinement: Refinement, knowledge: Knowledge) -> bool:
 
 
 def _given_centre(knowledge: Knowledge) -> str:
-    """Advice to verify a principal point that was given as exact; empty otherwise."""
-    if knowledge.principal_point_sigma_px > 0:
-        return ""
-    (x, y), (width, height) = knowledge.principal_point_px, knowledge.camera_size
-    inside = 0 <= x < width and 0 <= y < height
-    place = "" if inside else f", outside of the image of {width} × {height} pixels"
-    return f" Verify the camera's principal point, too: ({x:.0f}, {y:.0f}) was given as known{place}."
+    """Advice to verify the principal points that were given as exact; empty without any."""
+    camera = PrincipalPoint(knowledge.principal_point_px, knowledge.principal_point_sigma_px)
+    projector = None if knowledge.one_camera else knowledge.lenses[1].point
+    advice = ""
+    for device, point, (width, height) in (
+        ("camera", camera, knowledge.camera_size),
+        ("projector", projector, knowledge.projector_size),
+    ):
+        if point is None or point.sigma_px > 0:
+            continue
+        x, y = point.px
+        # A lens shift puts a projector's outside of its picture.
+        inside = (0 <= x < width and 0 <= y < height) or device == "projector"
+        place = "" if inside else f", outside of the image of {width} × {height} pixels"
+        advice += f" Verify the {device}'s principal point, too: ({x:.0f}, {y:.0f}) was given as known{place}."
+    return advice
 
 
 def named_angles(off_deg: Floats) -> str:

@@ -36,7 +36,16 @@ from calib.refinement.parameters import (
     predict,
     without_lens,
 )
-from calib.refinement.priors import DECENTERING, ORDINARY_LENSES, THIRD_RADIAL, ColumnPrior, KnownRig, LensPrior
+from calib.refinement.priors import (
+    DECENTERING,
+    ORDINARY_LENSES,
+    RADIAL,
+    THIRD_RADIAL,
+    ColumnPrior,
+    KnownRig,
+    LensPrior,
+    PrincipalPoint,
+)
 from calib.refinement.profile_likelihood import covariance_of, inverse_of
 from calib.refinement.refine import CLEARLY_WORSE, Refinement, explore, refine, settle, thin
 from calib.refinement.shared_corner import is_anticlockwise, oriented, reflected

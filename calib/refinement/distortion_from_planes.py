@@ -16,6 +16,7 @@ from calib.refinement.parameters import without_lens
 
 # Prior sigma of the bend, in units of the image width: a lens with k1 = 0.1 and a focal length of half a width.
 _SIGMA = 0.4
+_STRAIGHT = 1e-9  # of lenses that have no bend
 _STEPS = 30
 _DAMPING = Damping(first=1e-6, least=1e-9, most=1e12, growth=10.0, relief=0.1)  # the homographies' scales are a gauge
 _CONVERGED = 1e-10  # relative to the cost
@@ -33,13 +34,19 @@ class Straightened:
 
 
 def straighten(
-    cells: Cells, camera_centre_px: tuple[float, float], projector_centre_px: tuple[float, float]
+    cells: Cells,
+    camera_centre_px: tuple[float, float],
+    projector_centre_px: tuple[float, float],
+    bent: tuple[bool, bool] = (True, True),
 ) -> Straightened:
-    """Remove one radial term per device, around the given centres, so that each face follows a homography."""
+    """Remove one radial term per device, around the given centres, so that each face follows a homography.
+
+    `bent`: whether camera and projector may have one.
+    """
     faces = cells[cells.plane < len(FACES)]
     camera, projector = (_nominal(centre) for centre in (camera_centre_px, projector_centre_px))
     start = np.concatenate([_homographies(faces, camera, projector).ravel(), np.zeros(2)])
-    prior_sigma = np.append(np.full(len(start) - 2, np.inf), [_SIGMA, _SIGMA])
+    prior_sigma = np.append(np.full(len(start) - 2, np.inf), [_SIGMA if may else _STRAIGHT for may in bent])
     misfit = partial(_misfit, faces, camera, projector)
     fit = minimise(
         misfit, start, prior_sigma, robust=False, damping=_DAMPING, converged=_CONVERGED, least_gain=0.0, steps=_STEPS

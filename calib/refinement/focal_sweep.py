@@ -73,8 +73,10 @@ class Family:
 
 def family_of(cells: Cells, knowledge: Knowledge) -> Family:
     """Prepare the family for one capture. Raises TooFewMatchesError if a face has fewer than four cells."""
-    width, height = knowledge.projector_size
-    straightened = straighten(cells, knowledge.principal_point_px, ((width - 1) / 2, (height - 1) / 2))
+    camera, projector = knowledge.lenses
+    straightened = straighten(
+        cells, knowledge.principal_point_px, knowledge.projector_centre_px, (camera.bends, projector.bends)
+    )
     return Family(objective_for(straightened.matches, knowledge.principal_point_px), straightened)
 
 
@@ -122,6 +124,7 @@ def sweep_jointly(
 def twins(cells: Cells, family: Starts, fit: Fit, knowledge: Knowledge) -> list[Fit]:
     """Refit one capture at the focal of `fit`, starting from both of the paper's solutions there."""
     (starts,) = family.starts(np.array([fit.state.camera[0]]))
+    starts = [knowledge.holding(state) for state in starts]
     prior = knowledge.prior(fit.state).holding(CAMERA.start)
     variances = [np.full(len(cells), _SIGMA_PX**2)]
     return [relax([cells], state, prior, variances) for state in starts]
@@ -156,7 +159,7 @@ def _best(
 
     Fits whose cost exceeds `hopeless` are not converged fully.
     """
-    tried = starts + ([at_focal(last, focal)] if last else [])
+    tried = [knowledge.holding(state) for state in starts] + ([at_focal(last, focal)] if last else [])
     if not tried:
         return None
     prior = knowledge.prior(tried[0]).holding(CAMERA.start)
@@ -239,7 +242,7 @@ def objective_of_photos(matrices: Floats, focal_px: Floats, point_px: Floats) ->
 def photo_family(cells: Cells, knowledge: Knowledge) -> PhotoFamily:
     """Prepare the family for one pair of photos. Raises TooFewMatchesError if a face has fewer than four cells."""
     centre = knowledge.principal_point_px
-    straightened = straighten(cells, centre, centre)
+    straightened = straighten(cells, centre, centre, (knowledge.lenses[0].bends,) * 2)
     known = knowledge.principal_point_sigma_px == 0
     offsets = [(0.0, 0.0)] if known else list(product(_GRID, _GRID))
     points = np.array(centre) + knowledge.camera_size[0] * np.array(offsets)

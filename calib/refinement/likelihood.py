@@ -14,7 +14,7 @@ from calib.geometry import PER_PLANE, PER_POSE
 from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, PER_CORNER, PROJECTOR, SHARED, State, predict
-from calib.refinement.priors import ORDINARY_LENSES, ColumnPrior, KnownRig, LensPrior
+from calib.refinement.priors import ORDINARY_LENSES, ColumnPrior, KnownRig, LensPrior, PrincipalPoint
 from calib.refusal import PHOTOS, RIG, Wording
 
 SQUARENESS_DEG = 0.3  # standard deviation of the angles between walls of ordinary rooms around 90°
@@ -67,8 +67,9 @@ class Prior(ColumnPrior):
 def of_any_device(size: tuple[int, int], lens: LensPrior) -> tuple[Floats, Floats]:
     """Mean and standard deviation (8,) of a device's columns: what holds for any that is sold, by its image size."""
     width, height = size
-    mean = np.array([np.log(1.2 * width), (width - 1) / 2, (height - 1) / 2, *lens.mean])
-    return mean, np.array([0.7, height / 2, height / 2, *lens.sigma])
+    point = lens.point or PrincipalPoint(((width - 1) / 2, (height - 1) / 2), height / 2)
+    mean = np.array([np.log(1.2 * width), *point.px, *lens.mean])
+    return mean, np.array([0.7, point.sigma_px, point.sigma_px, *lens.sigma])
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Knowledge:
 
     `one_camera`: both images are photos by one unchanged camera, with one radial term. `focal_px`: prior on the
     camera's focal length as mean and standard deviation, if any. `rig`: prior on the rig from other data. `lenses`:
-    priors on the lenses of camera and projector.
+    priors on the lenses of camera and projector, and on the projector's principal point.
     """
 
     camera_size: tuple[int, int]
@@ -96,6 +97,25 @@ class Knowledge:
         """What the devices are called in messages."""
         return PHOTOS if self.one_camera else RIG
 
+    @property
+    def projector_centre_px(self) -> tuple[float, float]:
+        """Where the projector's principal point is expected: in the middle of its image, if nothing is known."""
+        width, height = self.projector_size
+        point = self.lenses[1].point
+        return ((width - 1) / 2, (height - 1) / 2) if point is None else point.px
+
+    def holding(self, state: State) -> State:
+        """Return the state with what is exactly known of its devices."""
+        if state.one_camera:
+            return state
+        prior = self.prior(state)
+        known, mean = prior.sigma == 0, prior.mean
+        return replace(
+            state,
+            camera=np.where(known[CAMERA], mean[CAMERA], state.camera),
+            projector=np.where(known[PROJECTOR], mean[PROJECTOR], state.projector),
+        )
+
     def prior(self, layout: State) -> Prior:
         """Return the prior on the columns of states like `layout`.
 
@@ -112,6 +132,10 @@ class Knowledge:
         centre = slice(CAMERA.start + 1, CAMERA.start + 3)
         if self.rig is None or self.principal_point_sigma_px == 0:
             mean[centre], sigma[centre] = self.principal_point_px, self.principal_point_sigma_px
+        point = self.lenses[1].point
+        if self.rig is not None and point is not None and point.sigma_px == 0:
+            centre = slice(PROJECTOR.start + 1, PROJECTOR.start + 3)
+            mean[centre], sigma[centre] = point.px, 0.0
         if self.focal_px is not None:
             focal, spread = self.focal_px
             mean[CAMERA.start], sigma[CAMERA.start] = np.log(focal), spread / focal

@@ -24,7 +24,7 @@ from calib.refinement.parameters import ROTATION, SHARED, TRANSLATION, State
 _ODD, _TIMES = 0.05, 4.0
 DECENTERING = 3e-4  # standard deviation of p1 and p2
 THIRD_RADIAL = 0.01  # of k3
-_RADIAL = 0.1, 0.03  # of k1, k2
+RADIAL = 0.1, 0.03  # of k1, k2
 _POWERS = 2, 4, 0, 0, 6  # the image depends on k1 / f², k2 / f⁴, k3 / f⁶; the prior on p1 and p2 is on the numbers
 # Smallest sigma of any parameter: log focal, pixels, lens terms, radians and directions.
 _LEAST_OF_DEVICE = (1e-6, 1e-3, 1e-3, 1e-5, 1e-5, 1e-6, 1e-6, 1e-5)
@@ -93,25 +93,43 @@ def with_tails(z: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 @dataclass(frozen=True)
+class PrincipalPoint:
+    """Prior on a principal point: `px` (x, y) with a standard deviation; 0 means exactly known."""
+
+    px: tuple[float, float]
+    sigma_px: float
+
+
+@dataclass(frozen=True)
 class LensPrior:
     """Prior of one device: `mean` and standard deviation `sigma` of k1, k2, p1, p2, k3, all independent.
 
-    A sigma of 0 marks terms that a lens does not have: these stay zero.
+    A sigma of 0 marks terms that a lens does not have: these stay zero. `point`: a projector's principal point; None
+    if no more is known of it than of any device's. A camera's is given separately.
     """
 
     mean: tuple[float, ...] = (0.0,) * 5
-    sigma: tuple[float, ...] = (*_RADIAL, DECENTERING, DECENTERING, THIRD_RADIAL)
+    sigma: tuple[float, ...] = (*RADIAL, DECENTERING, DECENTERING, THIRD_RADIAL)
+    point: PrincipalPoint | None = None
 
     @property
     def powers(self) -> tuple[int, ...]:
         """Power of the focal length with which each term scales at equal image distortion; 0 for measured lenses."""
         return _POWERS if not any(self.mean) else (0,) * len(_POWERS)
 
-    def with_sigmas(self, decentering: float | None = None, k3: float | None = None) -> "LensPrior":
-        """Return a copy with another standard deviation of p1 and p2, or of k3, where given."""
+    @property
+    def bends(self) -> bool:
+        """Whether the lens may have a first radial term."""
+        return self.sigma[0] > 0 or self.mean[0] != 0
+
+    def with_sigmas(
+        self, decentering: float | None = None, k3: float | None = None, radial: float | None = None
+    ) -> "LensPrior":
+        """Return a copy with another standard deviation of p1 and p2, of k3, or of k1 and k2, where given."""
         k1, k2, p1, p2, third = self.sigma
         tangential = (p1, p2) if decentering is None else (decentering, decentering)
-        return replace(self, sigma=(k1, k2, *tangential, third if k3 is None else k3))
+        first, second = (k1, k2) if radial is None else (radial, radial)
+        return replace(self, sigma=(first, second, *tangential, third if k3 is None else k3))
 
 
 ORDINARY_LENSES = LensPrior(), LensPrior()

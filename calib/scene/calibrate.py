@@ -132,7 +132,10 @@ def calibrate_scene(
     seen = [with_keypoints(view) for view in views]
     pairs = matched_pairs(seen)
     knowledge = Knowledge(camera_size, projector_size, principal_point.px, principal_point.sigma_px, 0.0, lenses=lenses)
-    starts = starts_of(seen, pairs, (camera_size, projector_size), np.array(principal_point.px))
+    point = lenses[1].point
+    starts = starts_of(
+        seen, pairs, (camera_size, projector_size), np.array(principal_point.px), None if point is None else point.px
+    )
     different = distinct(len(starts), lambda k: np.array([_is_near(starts[k], start) for start in starts]), _TRIALS)
     solved: list[_Solution] = []
     for k in different:
@@ -179,7 +182,7 @@ def recalibrate_scene(
     first = stations[0].inverse()
     motions = [pose @ first for pose in stations]
     poses = tuple(Pose(motion.rotation, motion.translation / start.baseline) for motion in motions)
-    rig = State(device_of(start.camera), device_of(start.projector), start.pose.in_baselines)
+    rig = knowledge.holding(State(device_of(start.camera), device_of(start.projector), start.pose.in_baselines))
     scene = RigidScene(rig, poses, np.zeros((0, 3)))
     begun = SceneProblem(
         scene,

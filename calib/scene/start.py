@@ -45,20 +45,26 @@ def starts_of(
     pairs: Mapping[tuple[int, int], tuple[Ints, Ints]],
     sizes: tuple[tuple[int, int], tuple[int, int]],
     centre_px: Floats,
+    projector_centre_px: tuple[float, float] | None = None,
 ) -> list[SceneStart]:
-    """Trials with their scores, best first; none if no fundamental matrix fits. `centre_px`: the camera's, (2,)."""
+    """Trials with their scores, best first; none if no fundamental matrix fits. `centre_px`: the camera's, (2,).
+    `projector_centre_px`: if anything is known of it.
+    """
     fundamental = _fundamental(views)
     if fundamental is None:
         return []
     used = sorted(pairs, key=lambda pair: -len(pairs[pair][0]))[:_PAIRS]
     (width, _), (wide, high) = sizes
+    centres = [((wide - 1) / 2, (high - 1) * height) for height in _LENS_SHIFTS]
+    if projector_centre_px is not None:
+        centres = [projector_centre_px]
     trials = []
     sample = some_matches([view.matches for view in views], 100)
     for camera_focal in _FOCALS * width:
         for projector_focal in _FOCALS * wide:
-            for height in _LENS_SHIFTS:
+            for centre in centres:
                 camera = without_lens(camera_focal, centre_px)
-                projector = without_lens(projector_focal, np.array([(wide - 1) / 2, (high - 1) * height]))
+                projector = without_lens(projector_focal, np.array(centre))
                 pose = _relative_pose(fundamental, camera, projector, sample.camera_px, sample.projector_px)
                 if pose is not None:
                     trials.append(_judged(State(camera, projector, pose), views, pairs, used))

@@ -42,6 +42,7 @@ from calib.refinement import (
     SQUARENESS_DEG,
     Knowledge,
     LensPrior,
+    PrincipalPoint,
     Refinement,
     Shift,
     Shifts,
@@ -84,14 +85,6 @@ WITH_BOARDS = FindingKind(
     "Calibrated together with boards of the same rig, with which the captures agree.",
     data=("cost", "limit"),
 )
-
-
-@dataclass(frozen=True)
-class PrincipalPoint:
-    """Prior on the camera's principal point: `px` (x, y) with a standard deviation; 0 means exactly known."""
-
-    px: tuple[float, float]
-    sigma_px: float
 
 
 @dataclass(frozen=True)
@@ -213,8 +206,8 @@ def self_calibrate_jointly(
     `same`: assume that the captures show one corner and share its angles. This is tested, and dropped with a note if
     the matches contradict it. The faces of all results are numbered alike, so that their corners define one frame.
 
-    `lenses`: priors on the lenses of camera and projector. `decentering`: standard deviation of p1 and p2 to use
-    instead of theirs (0: no decentring).
+    `lenses`: priors on the lenses of camera and projector, and on the projector's principal point. `decentering`:
+    standard deviation of p1 and p2 to use instead of theirs (0: no decentring).
 
     `shifts`: for each capture, the possible systematic shifts of its matches; none by default.
 

@@ -19,6 +19,7 @@ from scanner.configuration.sections import (
     CornerSettings,
     LensSettings,
     NetworkSettings,
+    PrincipalPointSettings,
     ProjectorSettings,
     ScaleSettings,
     SequenceSettings,
@@ -136,20 +137,37 @@ class Config(Settings):
 
         Raises InputError if a known point belongs to images of another size, or lies far outside the image.
         """
-        width, height = camera_size
-        setting = self.camera.principal_point
-        if setting.known is None:
-            sigma_px = setting.sigma_px or _CENTRE_SIGMA_OF_WIDTH * width
-            return PrincipalPoint(((width - 1) / 2, (height - 1) / 2), sigma_px)
-        if self.camera.size not in (None, camera_size):
-            raise InputError(
-                f"the configuration's camera is {self.camera_size}, but the images are {camera_size}: "
-                "camera.principal_point.known does not apply to them"
-            )
-        x, y = setting.known
-        if not (-width <= x <= 2 * width and -height <= y <= 2 * height):
-            raise InputError(f"camera.principal_point.known is ({x:g}, {y:g}), far outside the {camera_size} image")
-        return PrincipalPoint((x, y), 0.0)
+        return _principal_point("camera", self.camera.principal_point, self.camera.size, camera_size)
+
+    def projector_point(self, projector_size: Size) -> PrincipalPoint | None:
+        """Return the prior of the projector's principal point, for pictures of that size in square pixels; None if the
+        configuration says nothing of it.
+
+        Raises InputError as for the camera's.
+        """
+        setting = self.projector.principal_point
+        if not setting.given:
+            return None
+        own = self.projector.size
+        size = None if own is None else self.projector.grid.square_size(own)
+        return _principal_point("projector", setting, size, projector_size)
+
+
+def _principal_point(device: str, setting: PrincipalPointSettings, own_size: Size | None, size: Size) -> PrincipalPoint:
+    """For images of a `size`; the configuration's are of `own_size`, if it has one."""
+    width, height = size
+    if setting.known is None:
+        sigma_px = setting.sigma_px or _CENTRE_SIGMA_OF_WIDTH * width
+        return PrincipalPoint(((width - 1) / 2, (height - 1) / 2), sigma_px)
+    if own_size not in (None, size):
+        raise InputError(
+            f"the configuration's {device} is {own_size}, but the images are {size}: "
+            f"{device}.principal_point.known does not apply to them"
+        )
+    x, y = setting.known
+    if not (-width <= x <= 2 * width and -height <= y <= 2 * height):
+        raise InputError(f"{device}.principal_point.known is ({x:g}, {y:g}), far outside the {size} image")
+    return PrincipalPoint((x, y), 0.0)
 
 
 def _required_size(device: str, size: Size | None) -> Size:

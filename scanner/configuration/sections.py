@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from calib.geometry import PixelGrid, Size
-from calib.refinement import DECENTERING, SQUARENESS_DEG, THIRD_RADIAL
+from calib.refinement import DECENTERING, RADIAL, SQUARENESS_DEG, THIRD_RADIAL
 from hw.settings import Settings
 from scanner.errors import InputError
 from scanner.io import LONGEST_M, SHORTEST_M, Flag, Metres, Number, Pair, Whole, refuse_more_pixels
@@ -42,7 +42,7 @@ class _DeviceSettings(Settings):
 
 
 class PrincipalPointSettings(Settings):
-    """Prior knowledge of the camera's principal point: `known`, or `prior` with `sigma_px`."""
+    """Prior knowledge of a principal point: `known`, or `prior` with `sigma_px`."""
 
     known: Pair | None = Field(
         default=None, description="If it was measured; (0, 0) is the centre of the top left pixel."
@@ -54,6 +54,11 @@ class PrincipalPointSettings(Settings):
         le=_LARGEST_SIDE_PX,
         description="Standard deviation of the prior; default: 3 % of the width.",
     )
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is said."""
+        return self.known is not None or self.prior is not None or self.sigma_px is not None
 
     @model_validator(mode="after")
     def _known_or_prior(self) -> "PrincipalPointSettings":
@@ -71,7 +76,12 @@ class CameraSettings(_DeviceSettings):
 
 
 class ProjectorSettings(_DeviceSettings):
-    """The projector's image, and how bright it makes its grey levels."""
+    """The projector's image, prior knowledge of its optics, and how bright it makes its grey levels."""
+
+    principal_point: PrincipalPointSettings = Field(
+        default=PrincipalPointSettings(),
+        description="{known: [x, y]}, or {prior: centre, sigma_px: …}, in square pixels; default: anywhere.",
+    )
 
     response: tuple[Number, ...] | None = Field(
         default=None,
@@ -185,6 +195,13 @@ class CornerSettings(Settings):
 class LensSettings(Settings):
     """Prior knowledge of both lenses."""
 
+    radial: Number | None = Field(
+        default=None,
+        ge=0,
+        le=10,
+        description="Standard deviation of k1 and k2 of both lenses; 0 for ideal or corrected ones; default: "
+        f"{RADIAL[0]:g} and {RADIAL[1]:g}.",
+    )
     decentering: Number | None = Field(
         default=None,
         ge=0,
@@ -203,8 +220,8 @@ class LensSettings(Settings):
 
     @model_validator(mode="after")
     def _one_source(self) -> "LensSettings":
-        if self.source is not None and (self.decentering is not None or self.k3 is not None):
-            raise ValueError("give decentering and k3, or from: calibration.yaml, not both")
+        if self.source is not None and not {self.radial, self.decentering, self.k3} <= {None}:
+            raise ValueError("give radial, decentering and k3, or from: calibration.yaml, not both")
         return self
 
 

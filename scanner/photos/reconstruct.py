@@ -24,7 +24,7 @@ from scanner.photos.features import find_features, match_features, refuse_unrela
 from scanner.photos.photo import Photo
 from scanner.reconstruction import (
     label_by_masks,
-    lenses_of,
+    lenses_by_name,
     refusal_saved,
     refuse_few,
     refuse_misfit,
@@ -115,7 +115,7 @@ def refuse_unsuitable(config: Config) -> None:
 def principal_point(config: Config, size: Size) -> PrincipalPoint:
     """Return the prior of the principal point: none, unless the configuration gives one."""
     setting = config.camera.principal_point
-    if setting.known is None and setting.prior is None and setting.sigma_px is None:
+    if not setting.given:
         return anywhere(size)
     return config.principal_point(size)
 
@@ -187,13 +187,14 @@ def _labelled(pair: Decoded, masks: Bools | None, newest: Decoded | None) -> Dec
 
 def _calibrate(pairs: Sequence[Decoded], config: Config, focal_px: tuple[float, float] | None) -> list[SelfCalibrated]:
     """Solutions for all pairs; lengths in metres, or in the baseline of the first two photos."""
-    size = pairs[-1].metadata.camera_size
+    size, camera = pairs[-1].metadata.camera_size, "photos"
+    lens = lenses_by_name(config, {camera: size}, {})[camera]
     solutions = calibrate_photos(
         [pair.matches for pair in reversed(pairs)],
         size,
         principal_point=principal_point(config, size),
         squareness_deg=config.corner.squareness_deg,
-        lenses=lenses_of(config, size, size),
+        lenses=(lens, lens),
         focal_px=focal_px,
     )
     first = _scaled(pairs[-1], solutions[0], config.scale)

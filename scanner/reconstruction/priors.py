@@ -5,6 +5,7 @@ A calibration of boards is combined with the captures of a corner.
 
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from calib.geometry import DeviceSigmas, Intrinsics, Size
@@ -28,12 +29,20 @@ def lenses_of(config: Config, camera_size: Size, projector_size: Size) -> tuple[
 
 
 def lenses_by_name(config: Config, cameras: Mapping[str, Size], projectors: Mapping[str, Size]) -> dict[str, LensPrior]:
-    """Return the lens priors of devices, given their image sizes.
+    """Return the lens priors of devices, given their image sizes; projectors' with their principal points.
 
-    Raises InputError if a named calibration fits none of them, or does not state sigmas of its lens terms.
+    Raises InputError if a named calibration fits none of them, or does not state sigmas of its lens terms; or if a
+    known principal point does not fit.
     """
+    lenses = _lenses_alone(config, cameras, projectors)
+    return lenses | {
+        name: replace(lenses[name], point=config.projector_point(size)) for name, size in projectors.items()
+    }
+
+
+def _lenses_alone(config: Config, cameras: Mapping[str, Size], projectors: Mapping[str, Size]) -> dict[str, LensPrior]:
     setting = config.lens
-    ordinary = LensPrior().with_sigmas(setting.decentering, setting.k3)
+    ordinary = LensPrior().with_sigmas(setting.decentering, setting.k3, setting.radial)
     lenses = dict.fromkeys([*cameras, *projectors], ordinary)
     if setting.source is None:
         return lenses

@@ -128,12 +128,13 @@ def test_an_uneven_wall_is_reported_and_widens_sigmas(monkeypatch: pytest.Monkey
 def test_prior_knowledge_of_a_device_is_used() -> None:
     made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
     known = {name: PrincipalPoint(made.devices[name].principal_point_px, 0.0) for name in ("camera1", "camera2")}
-    lens = LensPrior().with_sigmas(decentering=0.0)
+    centre = PrincipalPoint(made.devices["projector1"].principal_point_px, 0.0)
+    lens = replace(LensPrior().with_sigmas(decentering=0.0), point=centre)
 
     usual = estimate_network(made.captures, sizes_of(made))
     told = estimate_network(made.captures, sizes_of(made), points=known, lenses={"projector1": lens})
 
-    for name, point in known.items():
+    for name, point in {**known, "projector1": centre}.items():
         np.testing.assert_allclose(told.device(name).lens[1:3], point.px, rtol=1e-12)
         assert not told.sigmas(name)[1:3].any()
         assert 0 < told.sigmas(name)[0] < 0.9 * usual.sigmas(name)[0]

@@ -7,8 +7,9 @@ import pytest
 
 from calib.closed_form import exact_search, objective_for, search
 from calib.geometry import Matches
+from calib.refinement import ORDINARY_LENSES, LensPrior, PrincipalPoint
 from calib.refusal import RefusalError
-from calib.self_calibration.rig import Method, PrincipalPoint, SelfCalibration, self_calibrate
+from calib.self_calibration.rig import Method, SelfCalibration, self_calibrate
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
 from tests.support.findings import kinds_of
 
@@ -93,6 +94,72 @@ def test_refined_reaches_its_own_sigma_with_lens_distortion() -> None:
         deviations.append(error[0] * PAPER_CAMERA.focal_px[0] / sigma.camera.focal_px[0])
     assert 1e-5 < np.mean(errors) < 0.008  # one of the views determines the lenses poorly, and says so
     assert 0.3 < np.sqrt(np.mean(np.square(deviations))) < 2.0
+
+
+IDEAL = LensPrior().with_sigmas(decentering=0.0, k3=0.0, radial=0.0)
+
+
+def test_what_is_said_of_lenses_and_projector_is_used() -> None:
+    """With ideal lenses and both principal points, as COLMAP's two views have them."""
+    told = IDEAL, replace(IDEAL, point=PrincipalPoint(PAPER_PROJECTOR.principal_point_px, 0.0))
+    errors: dict[str, list[float]] = {"told": [], "untold": []}
+    deviations, gains = [], []
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        capture = random_capture(rng, count=20_000, distance=(1.5, 3.0))
+        untold, found = (
+            self_calibrate(
+                capture.matches,
+                PAPER_CAMERA.size,
+                PAPER_PROJECTOR.size,
+                principal_point=KNOWN,
+                squareness_deg=0.0,
+                lenses=lenses,
+            )
+            for lenses in (ORDINARY_LENSES, told)
+        )
+        calibration, sigma = found.calibration, found.calibration.sigma
+        assert calibration.projector.principal_point_px == PAPER_PROJECTOR.principal_point_px
+        assert calibration.camera.distortion == calibration.projector.distortion == (0.0,) * 5
+        assert sigma.projector.principal_point_px == (0.0, 0.0)
+        for name, solution in (("told", found), ("untold", untold)):
+            errors[name].append(float(np.abs(_errors(solution)[:2]).mean()))
+        deviations += list(_errors(found)[:2] / _focal_sigmas(found))
+        gains.append(_focal_sigmas(untold) / _focal_sigmas(found))
+    assert 1e-6 < np.mean(errors["told"]) < 3e-4
+    assert np.mean(errors["told"]) < np.mean(errors["untold"]) / 3
+    assert 0.5 < np.sqrt(np.mean(np.square(deviations))) < 1.6
+    assert 2 < np.median(gains) < 1000
+
+
+def _focal_sigmas(found: SelfCalibration) -> np.ndarray:
+    """Relative, of both focal lengths."""
+    sigma, calibration = found.calibration.sigma, found.calibration
+    stated = sigma.camera.focal_px[0], sigma.projector.focal_px[0]
+    return np.array(stated) / (calibration.camera.focal_px[0], calibration.projector.focal_px[0])
+
+
+def test_a_projectors_principal_point_is_weighed_by_its_sigma() -> None:
+    capture = random_capture(np.random.default_rng(5), count=20_000, distance=(1.5, 3.0))
+    x, y = PAPER_PROJECTOR.principal_point_px
+
+    def solve(sigma_px: float) -> SelfCalibration:
+        return self_calibrate(
+            capture.matches,
+            PAPER_CAMERA.size,
+            PAPER_PROJECTOR.size,
+            principal_point=KNOWN,
+            squareness_deg=0.0,
+            lenses=(IDEAL, replace(IDEAL, point=PrincipalPoint((x + 5, y), sigma_px))),
+        )
+
+    found = solve(5.0).calibration
+    sigma = found.sigma.projector.principal_point_px
+    assert sigma is not None
+    assert 0.01 < sigma[0] < 5
+    assert abs(found.projector.principal_point_px[0] - x) < 3 * sigma[0]
+    with pytest.raises(RefusalError, match=r"Verify the projector's principal point, too: \(382, 234\) was given"):
+        solve(0.0)
 
 
 def test_walls_off_square_stay_within_the_sigma() -> None:

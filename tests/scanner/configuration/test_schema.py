@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.geometry import Size
+from calib.self_calibration import PrincipalPoint
 from hw.settings import SimulatedRigSettings
 from scanner.configuration.schema import Config, load_config
 from scanner.errors import InputError
@@ -45,6 +46,23 @@ def test_without_a_configuration_the_principal_point_is_near_the_centre() -> Non
 def test_a_prior_has_the_given_sigma(tmp_path: Path) -> None:
     config = load(tmp_path, "camera: {principal_point: {prior: centre, sigma_px: 70}}")
     assert config.principal_point(Size(1000, 500)).sigma_px == 70
+
+
+def test_nothing_is_known_of_a_projectors_principal_point_unless_it_is_said(tmp_path: Path) -> None:
+    size = Size(1000, 500)
+    assert load_config(None).projector_point(size) is None
+    prior = load(tmp_path, "projector: {principal_point: {prior: centre}}").projector_point(size)
+    assert prior == PrincipalPoint((499.5, 249.5), 30.0)
+    known = load(tmp_path, "projector: {principal_point: {known: [500, 520]}}").projector_point(size)
+    assert known == PrincipalPoint((500.0, 520.0), 0.0)
+
+
+def test_a_projectors_principal_point_is_in_square_pixels(tmp_path: Path) -> None:
+    own = "width: 912, height: 1140, pixel_aspect: 0.5, principal_point: {known: [900, 1100]}"
+    config = load(tmp_path, f"projector: {{{own}}}")
+    assert config.projector_point(config.projector_size) == PrincipalPoint((900.0, 1100.0), 0.0)
+    with pytest.raises(InputError, match=r"projector is 1824 × 1140, but the images are 912 × 1140: projector\.princ"):
+        config.projector_point(Size(912, 1140))
 
 
 def test_keys_of_the_sequence_override_its_preset(tmp_path: Path) -> None:
@@ -147,6 +165,10 @@ WRONG = [
     Wrong("camera: {principal_point: {prior: corner}}", ("'centre'", "'corner'")),
     Wrong("camera: {principal_point: {prior: centre, sigma_px: 0}}", ("sigma_px", "greater than 0")),
     Wrong("camera: {principal_point: centre}", ("'camera.principal_point'", "section", "'centre'")),
+    Wrong("projector: {principal_point: {known: [1, 2], sigma_px: 3}}", ("known", "sigma_px", "not both")),
+    Wrong("projector: {principal_point: {sigma_px: -3}}", ("'projector.principal_point.sigma_px'", "-3")),
+    Wrong("lens: {radial: -1}", ("'lens.radial'", "-1")),
+    Wrong("lens: {radial: 0, from: a.yaml}", ("radial", "from", "not both")),
     Wrong("rig: {backend: webcam}", ("'rig.backend'", "'simulated'", "'webcam'")),
     Wrong("sequence: {preset: slow}", ("'sequence.preset'", "'standard', 'quick' or 'concave'", "'slow'")),
     Wrong("sequence: {shifts: 2}", ("shifts", "3 or more", "2")),

@@ -8,6 +8,7 @@ import pytest
 
 from calib.geometry import Calibration, DeviceSigmas, Pose, Sigmas, Size
 from calib.refinement import ORDINARY_LENSES
+from calib.self_calibration import PrincipalPoint
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
@@ -36,6 +37,20 @@ def test_decentering_applies_to_both_devices(decentering: float) -> None:
     for lens, ordinary in zip(lenses_of(config, CAMERA, PROJECTOR), ORDINARY_LENSES, strict=True):
         assert lens.mean == (0.0,) * 5
         assert lens.sigma == (*ordinary.sigma[:2], decentering, decentering, 0.5)
+
+
+def test_ideal_lenses_have_no_terms() -> None:
+    config = load_config(None, ["lens={radial: 0, decentering: 0, k3: 0}"])
+    for lens in lenses_of(config, CAMERA, PROJECTOR):
+        assert lens.mean == lens.sigma == (0.0,) * 5
+        assert not lens.bends
+
+
+def test_a_principal_point_is_the_projectors_alone() -> None:
+    config = load_config(None, ["projector.principal_point.known=[400, 470]"])
+    camera, projector = lenses_of(config, CAMERA, PROJECTOR)
+    assert camera == ORDINARY_LENSES[0]
+    assert projector.point == PrincipalPoint((400.0, 470.0), 0.0)
 
 
 def test_a_calibration_with_sigmas_gives_the_lens_priors(tmp_path: Path) -> None:
