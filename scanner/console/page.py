@@ -8,6 +8,7 @@ import viser
 
 from hw.rig import Frame
 from scanner.configuration import set_keys
+from scanner.console.calibration_view import CalibrationView
 from scanner.console.camera_view import CameraView
 from scanner.console.check_view import CheckView
 from scanner.console.configuration_view import ConfigurationView
@@ -75,6 +76,7 @@ class ConsolePage:
             self._put_away.allow(_NOTHING_OPEN)
         self._result = ResultPanel(gui, scene, self._pages[RESULT], served.served_files.link, self._set_scale)
         with self._pages[HISTORY]:
+            self._calibration = CalibrationView(gui, lambda: self._worker.settings.calibration)
             self._history = History(gui, self._open, served.served_files.link, self._moved)
         # What the worker tells concerns one part each.
         self.on_camera, self.on_sight = self._camera.on_camera, self._network.on_sight
@@ -147,6 +149,7 @@ class ConsolePage:
             self._network.tick()
             self._network.follow(self._worker.settings)
             self._history.refresh()
+            self._calibration.follow()
             self._configuration.follow()
 
     def _open(self, folder: Path) -> None:

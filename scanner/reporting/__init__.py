@@ -1,5 +1,6 @@
 """The parts of the report: its input, the verdict, the numbers, the pictures, the plots."""
 
+from scanner.reporting.calibration_history import history_svg
 from scanner.reporting.contents import CaptureRow, JointCaptures, ReportInput
 from scanner.reporting.page import VIEWER, write_report
 from scanner.reporting.sections import PageImage, ScaledMap, extent_row, files_beside, picture

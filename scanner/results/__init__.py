@@ -1,6 +1,15 @@
 """A result: its folder, its verdict, its metadata."""
 
-from scanner.results.calibration_log import LOGGED, LogEntry, differences, entry_for, log_of, log_text, read_log
+from scanner.results.calibration_log import (
+    LOGGED,
+    LogEntry,
+    LoggedParameter,
+    differences,
+    entry_for,
+    log_of,
+    log_text,
+    read_log,
+)
 from scanner.results.cloud_steps import read_steps, write_steps
 from scanner.results.finished_result import (
     FinishedResult,

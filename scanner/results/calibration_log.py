@@ -17,12 +17,10 @@ from calib.numerics import Floats
 from scanner.errors import InputError
 from scanner.io import Entry, Number, flow_yaml, parse_yaml, read_text
 
-_MOST_VALUES = 3
-
 
 @dataclass(frozen=True)
 class LoggedParameter:
-    """A parameter of a rig, with up to three numbers."""
+    """A parameter of a rig, with one to three numbers."""
 
     name: str
     """In the file."""
@@ -30,15 +28,17 @@ class LoggedParameter:
     """For people."""
     unit: str
     """Of its differences: %, px or °."""
+    axes: tuple[str, ...]
+    """Names of its numbers; of the baseline's direction, that within the plane of x and y, and towards z."""
 
 
 LOGGED = (
-    LoggedParameter("camera_focal_px", "camera: focal length", "%"),
-    LoggedParameter("camera_principal_point_px", "camera: principal point", "px"),
-    LoggedParameter("projector_focal_px", "projector: focal length", "%"),
-    LoggedParameter("projector_principal_point_px", "projector: principal point", "px"),
-    LoggedParameter("rotation_deg", "rotation between them", "°"),
-    LoggedParameter("direction_deg", "direction of the baseline", "°"),
+    LoggedParameter("camera_focal_px", "camera: focal length", "%", ("",)),
+    LoggedParameter("camera_principal_point_px", "camera: principal point", "px", ("x", "y")),
+    LoggedParameter("projector_focal_px", "projector: focal length", "%", ("",)),
+    LoggedParameter("projector_principal_point_px", "projector: principal point", "px", ("x", "y")),
+    LoggedParameter("rotation_deg", "rotation", "°", ("x", "y", "z")),
+    LoggedParameter("direction_deg", "direction of the baseline", "°", ("xy", "z")),
 )
 
 
@@ -135,10 +135,10 @@ def differences(entries: Sequence[LogEntry], parameter: LoggedParameter) -> Iter
     Sigmas are 0 where unknown. A parameter that an entry lacks has NaN there.
     """
     first = entries[0].values.get(parameter.name, [])
-    for k in range(min(len(first), _MOST_VALUES)):
+    for k in range(min(len(first), len(parameter.axes))):
         values = np.array([_number(entry.values, parameter.name, k, np.nan) for entry in entries])
         sigmas = np.array([_number(entry.sigmas, parameter.name, k, 0.0) for entry in entries])
-        factor = 100 / first[k] if parameter.unit == "%" else 1.0
+        factor = 100 / first[k] if parameter.unit == "%" and first[k] else 1.0
         off = values - first[k]
         if parameter.unit == "°":
             off = (off + 180) % 360 - 180
