@@ -1,4 +1,5 @@
-"""Calibration, poses and points as a COLMAP model in text form (cameras.txt, images.txt, points3D.txt).
+"""Calibration, poses and points as a COLMAP model in text form (cameras.txt, images.txt, points3D.txt), with the
+calibration's covariance beside it (covariance.txt), which COLMAP itself leaves unread.
 
 COLMAP's world is the (newest) camera's frame: x right, y down, z forward, as here; that of a whole room is the room's
 frame. Its pixels are not as here: the centre of the top left one is at (0.5, 0.5), so half a pixel is added to every
@@ -15,10 +16,11 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats, Ints
 from scanner.cleaning import read_cleaned
+from scanner.exporting.covariance import COVARIANCE_FILE, ExportedCovariance, covariance_of_result
 from scanner.exporting.formats import ExportRequest
 from scanner.io import new_files, refuse_existing
 from scanner.quantities import unit_name
-from scanner.results import FinishedScan
+from scanner.results import FinishedScan, read_calibration_of
 
 COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 CAMERA_ID, PROJECTOR_ID = 1, 2
@@ -48,26 +50,36 @@ def export(request: ExportRequest) -> list[str]:
     """Write the model. Raises InputError and OSError."""
     result = read_cleaned(request.result, request.capture)
     scans = [(station.scan, station.place) for station in result.stations_before_camera]
-    model = write_colmap(request.out, scans, most_points=request.most_points, overwrite=request.overwrite)
+    covariance = covariance_of_result(request.result, read_calibration_of(request.result))
+    model = write_colmap(request.out, scans, covariance, most_points=request.most_points, overwrite=request.overwrite)
     chosen = "all of them" if model.step == 1 else f"one for each {model.step} × {model.step} camera pixels"
     total, unit = sum(len(scan) for scan, _ in scans), unit_name(result.unit)
-    return [f"{model.points:,} of {total:,} points{result.of_how_many} with their tracks ({chosen}), in {unit}"]
+    sentences = [f"{model.points:,} of {total:,} points{result.of_how_many} with their tracks ({chosen}), in {unit}"]
+    return sentences if covariance is None else [*sentences, f"The covariance of both devices in {COVARIANCE_FILE}"]
 
 
 def write_colmap(
-    folder: Path, scans: Sequence[tuple[FinishedScan, Pose]], *, most_points: int, overwrite: bool
+    folder: Path,
+    scans: Sequence[tuple[FinishedScan, Pose]],
+    covariance: ExportedCovariance | None,
+    *,
+    most_points: int,
+    overwrite: bool,
 ) -> ModelSize:
     """Write a model of scans by one rig, each with its pose, with at most `most_points` points, spread evenly over the
-    images.
+    images; and the covariance of the rig, if there is one.
 
     Raises InputError if a file exists and may not be replaced.
     """
-    for name in COLMAP_FILES:
+    names = COLMAP_FILES if covariance is None else (*COLMAP_FILES, COVARIANCE_FILE)
+    for name in names:
         refuse_existing(folder / name, overwrite=overwrite)
     chosen = [(scan, place, *_evenly(scan.pixel, most_points // len(scans))) for scan, place in scans]
     every = [_Chosen(scan, place, points) for scan, place, points, _ in chosen]
-    contents = (_cameras(every[0].scan), _images(every), _points(every))
-    with new_files(folder, COLMAP_FILES, overwrite=overwrite) as paths:
+    contents = [_cameras(every[0].scan), _images(every), _points(every)]
+    if covariance is not None:
+        contents.append(covariance.lines)
+    with new_files(folder, names, overwrite=overwrite) as paths:
         for path, lines in zip(paths, contents, strict=True):
             with path.open("w", encoding="utf-8") as file:
                 file.writelines(f"{line}\n" for line in lines)

@@ -59,6 +59,13 @@ FORMATS: dict[str, Format] = {
     "colmap": Format(
         "text model with some of the points", "-colmap", (), "colmap", "COLMAP reads it: File, Import model."
     ),
+    "mrcal": Format(
+        "calibration as mrcal's camera models",
+        "-mrcal",
+        (),
+        "mrcal",
+        "mrcal reads camera.cameramodel and the projector's.",
+    ),
     "ply": Format("the cloud", "-cloud.ply", (".ply",), "cloud", "MeshLab, CloudCompare and Open3D read it."),
     "pcd": Format(
         "the cloud for the Point Cloud Library and ROS", "-cloud.pcd", (".pcd",), "cloud", "PCL and ROS read it."
