@@ -12,7 +12,7 @@ from scanner.io.atomic_file import (
     sync_open,
     sync_tree,
 )
-from scanner.io.calibration_file import parse_calibration, read_calibration, write_calibration
+from scanner.io.calibration_file import parse_calibration, read_calibration, read_calibration_keys, write_calibration
 from scanner.io.free_memory import free_bytes, require_memory, total_bytes
 from scanner.io.given_file import (
     LONGEST_SIDE_PX,

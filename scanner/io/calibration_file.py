@@ -11,8 +11,9 @@ from pydantic import BeforeValidator, Field, model_validator
 from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Pose, Sigmas
 from scanner.errors import InputError
 from scanner.io.given_file import LONGEST_SIDE_PX, refuse_more_pixels
+from scanner.io.opencv_calibration import is_opencv, parse_opencv
 from scanner.io.validation import Entry, Number, Whole, validate
-from scanner.io.yaml_text import block_yaml, flow_yaml, parse_mapping, read_yaml
+from scanner.io.yaml_text import block_yaml, flow_yaml, parse_mapping, read_text
 
 # Beyond any device and unit of length, but small enough that products are finite.
 _LARGEST, _SMALLEST = 1e9, 1e-9
@@ -102,14 +103,24 @@ class _CalibrationEntry(Entry):
 def read_calibration(path: Path) -> Calibration:
     """Read a calibration; unknown keys are ignored, a distortion of fewer than five terms is padded with zeros.
 
-    Raises InputError for a missing file, a missing or wrong key, or an invalid rotation.
+    It may also be a file of OpenCV's FileStorage. Raises InputError for a missing file, a missing or wrong key, or an
+    invalid rotation.
     """
-    return _calibration(read_yaml(path), str(path))
+    return _calibration(read_calibration_keys(path), str(path))
+
+
+def read_calibration_keys(path: Path) -> dict[str, Any]:
+    """All keys of a calibration file; of one of OpenCV, as this program would write them. Raises InputError."""
+    return _keys(read_text(path), str(path))
 
 
 def parse_calibration(text: str, source: str) -> Calibration:
     """Parse a calibration like `read_calibration`, from a text that comes from `source`. Raises InputError."""
-    return _calibration(parse_mapping(text, source), source)
+    return _calibration(_keys(text, source), source)
+
+
+def _keys(text: str, source: str) -> dict[str, Any]:
+    return parse_opencv(text, source) if is_opencv(text) else parse_mapping(text, source)
 
 
 def _calibration(mapping: dict[str, Any], source: str) -> Calibration:

@@ -11,7 +11,7 @@ from calib.geometry import Calibration, tangent_basis
 from calib.numerics import Floats
 from calib.refinement import ROTATION, SHARED, TRANSLATION, State, device_of
 from scanner.errors import InputError
-from scanner.io import Entry, Number, read_yaml, validate
+from scanner.io import Entry, Number, read_calibration_keys, validate
 from scanner.results.verdict import Verdict, verdict_entries
 
 _OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2", "p1", "p2", "k3")
@@ -70,7 +70,7 @@ def covariance_entries(uncertainty: Uncertainty) -> dict[str, Any]:
 
 def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None:
     """The covariance in the file of a `calibration`; None where it says none. Raises InputError if it is malformed."""
-    entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).covariance
+    entry = validate(_ConfidenceEntry, read_calibration_keys(path), str(path)).covariance
     if entry is None:
         return None
     if tuple(entry.columns) == tuple(column for column in COLUMNS if column not in _FURTHER):

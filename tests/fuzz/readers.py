@@ -56,7 +56,8 @@ def configuration(folder: Path) -> Run:
 
 
 def calibration(folder: Path) -> Run:
-    """`calibration.yaml`: numbers, uncertainty, and display."""
+    """`calibration.yaml`, also of OpenCV: numbers, uncertainty, and display."""
+    from scanner.exporting import FORMATS, ExportRequest
     from scanner.io import read_calibration, write_calibration
     from scanner.quantities import calibration_table
     from scanner.results import COLUMNS, read_uncertainty, read_verdict
@@ -75,12 +76,16 @@ def calibration(folder: Path) -> Run:
             "along": {"probability": [0.5, 0.5], "steps": [[0.001] * count] * 2},
         },
     }
+    FORMATS["opencv"].write(ExportRequest(folder, folder / "opencv.yaml", overwrite=True))
+    of_opencv = (folder / "opencv.yaml").read_bytes()
     console = Console(file=io.StringIO())
 
     def read(rng: Random) -> None:
-        path.write_bytes(of_yaml(seed, rng))
+        is_opencv = rng.random() < 0.3
+        path.write_bytes(of_bytes(of_opencv, rng) if is_opencv else of_yaml(seed, rng))
         found = read_calibration(path)
-        read_verdict(path)
+        if not is_opencv:
+            read_verdict(path)
         read_uncertainty(path, found)
         console.print(calibration_table(found))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.diagnostics import Uncertainty, sigmas_of
-from calib.geometry import Calibration, Pose, rotation_about
+from calib.geometry import Calibration, Intrinsics, Pose, rotation_about
 from calib.numerics import Floats
 from calib.synthetic import random_captures
 from scanner.commands import main
@@ -28,14 +28,14 @@ def with_errors(truth: Calibration, seed: int) -> tuple[Calibration, Floats]:
     step = _SIGMA * np.random.default_rng(seed).standard_normal(len(_SIGMA))
     rig = true_rig(truth).moved(step)
 
-    def device(own: Floats, of: str) -> object:
-        focal, x0, y0, *terms = own.tolist()
-        found = getattr(truth, of)
-        return replace(found, focal_px=(focal, focal), principal_point_px=(x0, y0), distortion=tuple(terms))
+    def device(own: Floats, found: Intrinsics) -> Intrinsics:
+        focal, x0, y0, k1, k2, p1, p2, k3 = own.tolist()
+        terms = k1, k2, p1, p2, k3
+        return replace(found, focal_px=(focal, focal), principal_point_px=(x0, y0), distortion=terms)
 
     pose = Pose(rig.pose.rotation, rig.pose.translation * truth.baseline)
     sigma = sigmas_of(rig, np.diag(_SIGMA**2))
-    camera, projector = device(rig.camera, "camera"), device(rig.projector, "projector")
+    camera, projector = device(rig.camera, truth.camera), device(rig.projector, truth.projector)
     return replace(truth, camera=camera, projector=projector, pose=pose, sigma=sigma), np.diag(_SIGMA**2)
 
 
