@@ -21,7 +21,7 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, new_files, write_calibration
 from scanner.results import (
-    CLOUD_FILES,
+    KINDS,
     SelfCalibrated,
     calibration_file,
     covariance_entries,
@@ -60,7 +60,7 @@ class CalibrationUpdate:
 def refuse_no_update(given: Path) -> None:
     """Raise InputError if a file is not one to be replaced: that of a result whose cloud was made with it."""
     folder = calibration_file(given).parent
-    if any((folder / name).exists() for name in (MATCHES_FILE, *CLOUD_FILES)):
+    if any((folder / name).exists() for name in (MATCHES_FILE, *(kind.cloud for kind in KINDS))):
         raise InputError(
             f"{calibration_file(given)}: belongs to a result, whose cloud was made with it, and is not replaced: copy "
             "it, and give --calibration the copy"

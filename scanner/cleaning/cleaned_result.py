@@ -16,13 +16,12 @@ from scanner.configuration import CloudStep
 from scanner.errors import InputError
 from scanner.io import read_cloud, read_frame
 from scanner.results import (
-    OBJECT_FILE,
-    ROOM_FILE,
     FinishedResult,
     FinishedScan,
     KeptPoints,
     PlacedScan,
     is_merged,
+    kind_of,
     read_finished_result,
     read_steps,
 )
@@ -145,7 +144,7 @@ def read_cleaned(
     """
     steps = read_steps(folder) if steps is None else tuple(steps)
     whole = read_finished_result(folder, capture)
-    has_joint = is_merged(folder) or any((folder / name).is_file() for name in (ROOM_FILE, OBJECT_FILE))
+    has_joint = is_merged(folder) or kind_of(folder).is_joined
     joint = read_finished_result(folder) if capture is not None and has_joint else whole
     changes_axes = not own_axes and any(step.name in ("floor", "axes") for step in steps)
     if not steps or not whole.stations:

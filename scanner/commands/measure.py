@@ -21,7 +21,7 @@ from scanner.measuring import (
     write_figure,
 )
 from scanner.quantities import parse_length
-from scanner.results import NETWORK_FILE, path_beside, read_finished_result
+from scanner.results import NETWORK, kind_of, path_beside, read_finished_result
 from scanner.shown_text import shown
 from scanner.ui import Terminal
 
@@ -35,7 +35,7 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError, NoMeasurementError."""
     terminal = Terminal(quiet=args.quiet)
     out = args.out or path_beside(args.result, "-measured")
-    if (args.result / NETWORK_FILE).is_file():
+    if kind_of(args.result) is NETWORK:
         _measure_network(args, out, terminal)
         return
     with terminal.step("Measuring"):

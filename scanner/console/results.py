@@ -5,16 +5,14 @@ from functools import lru_cache
 from pathlib import Path
 
 from scanner.errors import InputError
-from scanner.io import MATCHES_FILE, read_text
+from scanner.io import read_text
 from scanner.rendering import jpeg_uri
 from scanner.results import (
     CALIBRATION_FILE,
     CAPTURES_FOLDER,
+    KINDS,
     LOG_FILE,
-    NETWORK_FILE,
-    OBJECT_FILE,
     REFUSAL_FILE,
-    ROOM_FILE,
     Grade,
     verdict_of,
 )
@@ -22,7 +20,7 @@ from scanner.viewing import read_white_picture
 
 SCANS = Path("scans")
 NOTE_FILE = "note.txt"
-_TO_SHOW = (MATCHES_FILE, ROOM_FILE, OBJECT_FILE, NETWORK_FILE, REFUSAL_FILE)
+_TO_SHOW = (REFUSAL_FILE, *(kind.listing for kind in KINDS))
 
 
 def earlier_results(folder: Path = SCANS) -> tuple[Path, ...]:

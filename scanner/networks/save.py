@@ -30,6 +30,7 @@ from scanner.reporting import (
 )
 from scanner.results import (
     CAPTURES_FOLDER,
+    NETWORK,
     NETWORK_CLOUD_FILE,
     NETWORK_FILE,
     REPORT_FILE,
@@ -42,12 +43,6 @@ from scanner.results import (
 _AHEAD, _UP = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
 _VIEW = (960, 640)
 _DEVICE_OF_SIZE = 0.05
-_FILES = {
-    "network.ply": "one cloud from all cameras, with normals and colours",
-    "network.yaml": "every device with its intrinsics and pose, the planes, and their sigmas",
-    "captures": "the recordings of the pairs, and what was decoded",
-    "scan.log": "what the program did, step by step",
-}
 _FRAME = "network frame: that of its first device, x right, y down, z ahead"
 
 
@@ -188,7 +183,7 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Mer
             network.unit,
         ),
         measured=[extent_row(cloud.points, network.unit, "x, y and z")],
-        files=files_beside(path, _FILES),
+        files=files_beside(path, NETWORK),
         verdict=verdict,
         provenance=provenance(path.parent, config),
         subtitle=f"{len(cameras)} cameras, {len(network.surfaces)} projectors, {len(cloud.points):,} points.",

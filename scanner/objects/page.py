@@ -11,7 +11,7 @@ from scanner.objects.verdict import verdict_on
 from scanner.quantities import percent, shown_unit
 from scanner.rendering import page, render, view_along
 from scanner.reporting import VIEWER, PageImage, ScaledMap, extent_row, files_beside, picture
-from scanner.results import Provenance
+from scanner.results import OBJECT, Provenance
 from scanner.rooms.page_parts import (
     HALF_PX,
     Cell,
@@ -25,15 +25,6 @@ from scanner.rooms.page_parts import (
 _VIEW = (960, 640)
 _FRUSTUM_OF_SIZE = 0.15
 _UP = np.array([0.0, 0.0, 1.0])
-_FILES = {
-    "object.ply": "one cloud of all stations, with normals and colours",
-    "object.glb": "one mesh of it, under the stations' pictures",
-    "object.yaml": "the poses of the stations relative to the thing, with sigmas; its volume and area",
-    "calibration.yaml": "the rig, as it was given",
-    "captures": "the stations, each a result of its own",
-    "truth.yaml": "the simulated rig's true calibration",
-    "scan.log": "what the program did, step by step",
-}
 
 
 def write_page(
@@ -53,7 +44,7 @@ def write_page(
         names=[str(number) for number in range(1, len(solved.stations) + 1)],
         overlaps=_matrix(solved),
         residuals=list(_residuals(solved)),
-        files=files_beside(path, _FILES),
+        files=files_beside(path, OBJECT),
         unit=solved.unit,
     )
     path.write_text(text, encoding="utf-8")

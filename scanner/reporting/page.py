@@ -19,21 +19,9 @@ from scanner.reporting.sections import FacesPicture, PageImage
 from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
+from scanner.results import CORNER
 
 VIEWER = "viewer.js"
-_FILES = {
-    "calibration.yaml": "intrinsics of both devices, and the motion between them",
-    "refused.yaml": "machine-readable: why nothing was calibrated",
-    "truth.yaml": "the simulated rig's true calibration",
-    "cloud.ply": "the point cloud with normals and colours, for MeshLab, CloudCompare or Open3D",
-    "matches.npz": "camera and projector pixels of every match, and its face",
-    "merged.ply": "the clouds of all captures in one, in the corner's frame",
-    "poses.yaml": "where the camera of each capture stood in that frame",
-    "dense.ply": "a point for every pixel of the first two photos that was matched, in the first photo's frame",
-    "captures": "the other captures that were calibrated with this one, each a result of its own",
-    "capture": "the recording: replay it with scan replay",
-    "scan.log": "what the program did, step by step",
-}
 
 
 # The slow parts, the slowest first, so that none remains for the end. The first also measures the scene, which the
@@ -81,7 +69,7 @@ def write_report(path: Path, report: ReportInput) -> None:
         has_truth=report.truth is not None,
         photos=report.metadata.photos,
         captures=joint_rows(report),
-        files=[(name, _FILES.get(name, "")) for name in report.files],
+        files=[(name, CORNER.files.get(name, "")) for name in report.files],
         unit=found.calibration.unit if found else "",
     )
     path.write_text(text, encoding="utf-8")

@@ -1,7 +1,7 @@
 """The report's sections as values that the template only has to lay out."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,7 +41,7 @@ from scanner.rendering import (
 )
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
-from scanner.results import Provenance
+from scanner.results import Provenance, ResultKind
 
 _SIDE = 640
 
@@ -356,10 +356,10 @@ def _printed(pixels: Pixels, alt: str, caption: str = "") -> PageImage:
     return PageImage(jpeg_uri(small), small.shape[1], small.shape[0], alt, caption)
 
 
-def files_beside(page: Path, meanings: Mapping[str, str]) -> list[tuple[str, str]]:
-    """The files beside a page with their meanings, by name."""
+def files_beside(page: Path, kind: ResultKind) -> list[tuple[str, str]]:
+    """The files beside a page of that kind with what they are, by name."""
     names = sorted({path.name for path in page.parent.iterdir()} - {page.name})
-    return [(name, meanings[name]) for name in names if name in meanings]
+    return [(name, kind.files[name]) for name in names if name in kind.files]
 
 
 def extent_row(points: NDArray[np.floating], unit: str, axes: str) -> tuple[str, str, str]:

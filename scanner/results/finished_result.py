@@ -12,18 +12,11 @@ from scanner.results.names import (
     CAPTURES_FOLDER,
     CLOUD_FILE,
     MERGED_FILE,
-    NETWORK_CLOUD_FILE,
-    NETWORK_FILE,
-    OBJECT_CLOUD_FILE,
-    OBJECT_FILE,
-    OBJECT_MESH_FILE,
+    NETWORK,
+    OBJECT,
     POSES_FILE,
-    ROOM_CLOUD_FILE,
-    ROOM_FILE,
-    ROOM_MESH_FILE,
+    kind_of,
 )
-
-_JOINED = {ROOM_FILE: (ROOM_CLOUD_FILE, ROOM_MESH_FILE), OBJECT_FILE: (OBJECT_CLOUD_FILE, OBJECT_MESH_FILE)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +68,7 @@ class FinishedResult:
     @property
     def is_object(self) -> bool:
         """Whether the stations are those of an object."""
-        return self.listing is not None and self.listing.name == OBJECT_FILE
+        return self.listing is not None and self.listing.name == OBJECT.listing
 
     @property
     def is_joined(self) -> bool:
@@ -99,13 +92,13 @@ class FinishedResult:
 
 def read_joined(folder: Path) -> FinishedResult | None:
     """A room or an object; None if the folder holds neither. Raises InputError if its content is malformed."""
-    listing = next((name for name in _JOINED if (folder / name).is_file()), None)
-    if listing is None:
+    kind = kind_of(folder)
+    if kind.mesh is None:
         return None
-    stored = read_room(folder / listing)
+    stored = read_room(folder / kind.listing)
     stations = (PlacedScan(station.name, folder / station.folder, station.place) for station in stored.stations)
-    cloud, mesh = (folder / name for name in _JOINED[listing])
-    return FinishedResult(stored.unit, tuple(stations), cloud, mesh, folder / listing)
+    files = folder / kind.cloud, folder / kind.mesh, folder / kind.listing
+    return FinishedResult(stored.unit, tuple(stations), *files)
 
 
 def read_finished_result(folder: Path, capture: int | None = None) -> FinishedResult:
@@ -121,9 +114,9 @@ def read_finished_result(folder: Path, capture: int | None = None) -> FinishedRe
         raise InputError(f"{folder}: has {count} captures: expected --capture 1 to {count}, found {capture}")
     if joined is not None and capture is None:
         return joined
-    if joined is None and (folder / NETWORK_FILE).is_file():
-        unit = read_network(folder / NETWORK_FILE).unit
-        return FinishedResult(unit, (), folder / NETWORK_CLOUD_FILE, listing=folder / NETWORK_FILE)
+    if kind_of(folder) is NETWORK:
+        listing = folder / NETWORK.listing
+        return FinishedResult(read_network(listing).unit, (), folder / NETWORK.cloud, listing=listing)
     unit = read_calibration_of(folder).unit
     if capture is not None or count == 1:
         number = capture or 1

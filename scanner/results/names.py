@@ -1,5 +1,7 @@
-"""The names in a result folder, and which names for one are free."""
+"""The files in a result folder of each kind, and which names for a folder are free."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from scanner.errors import InputError
@@ -30,33 +32,93 @@ DENSE_FILE = "dense.ply"
 STEPS_FILE = "steps.yaml"
 LOG_FILE = "scan.log"
 
-CLOUD_FILES = (CLOUD_FILE, ROOM_CLOUD_FILE, OBJECT_CLOUD_FILE, NETWORK_CLOUD_FILE)
 
-_OURS = {
-    CALIBRATION_FILE,
-    TRUTH_FILE,
+@dataclass(frozen=True)
+class ResultKind:
+    """What a result can be of, and its files."""
+
+    listing: str
+    """The file by which it is recognised: with the poses of its scans, or the matches of a single one."""
+    cloud: str
+    mesh: str | None
+    """The file of a mesh under pictures; None without one."""
+    files: Mapping[str, str]
+    """Files and folders by name: what each is, as the report says."""
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether it is of stations: a room or an object."""
+        return self.mesh is not None
+
+
+_OF_EVERY_KIND = {
+    TRUTH_FILE: "the simulated rig's true calibration",
+    LOG_FILE: "what the program did, step by step",
+}
+CORNER = ResultKind(
+    MATCHES_FILE,
     CLOUD_FILE,
-    MERGED_FILE,
-    POSES_FILE,
+    None,
+    {
+        CALIBRATION_FILE: "intrinsics of both devices, and the motion between them",
+        REFUSAL_FILE: "machine-readable: why nothing was calibrated",
+        CLOUD_FILE: "the point cloud with normals and colours, for MeshLab, CloudCompare or Open3D",
+        MATCHES_FILE: "camera and projector pixels of every match, and its face",
+        MERGED_FILE: "the clouds of all captures in one, in the corner's frame",
+        POSES_FILE: "where the camera of each capture stood in that frame",
+        DENSE_FILE: "a point for every pixel of the first two photos that was matched, in the first photo's frame",
+        CAPTURES_FOLDER: "the other captures that were calibrated with this one, each a result of its own",
+        CAPTURE_FOLDER: "the recording: replay it with scan replay",
+        **_OF_EVERY_KIND,
+    },
+)
+ROOM = ResultKind(
     ROOM_FILE,
+    ROOM_CLOUD_FILE,
+    ROOM_MESH_FILE,
+    {
+        ROOM_CLOUD_FILE: "one cloud of the whole room, with normals and colours",
+        ROOM_MESH_FILE: "one mesh of it",
+        ROOM_FILE: "where every station stood, the planes, and their sigmas",
+        CALIBRATION_FILE: "intrinsics of both devices and the motion between them, from all stations together",
+        PLAN_FILE: "the plan below",
+        PLAN_DXF_FILE: "the same for CAD programs",
+        CAPTURES_FOLDER: "the stations, each a result of its own",
+        **_OF_EVERY_KIND,
+    },
+)
+OBJECT = ResultKind(
     OBJECT_FILE,
     OBJECT_CLOUD_FILE,
     OBJECT_MESH_FILE,
+    {
+        OBJECT_CLOUD_FILE: "one cloud of all stations, with normals and colours",
+        OBJECT_MESH_FILE: "one mesh of it, under the stations' pictures",
+        OBJECT_FILE: "the poses of the stations relative to the thing, with sigmas; its volume and area",
+        CALIBRATION_FILE: "the rig, as it was given",
+        CAPTURES_FOLDER: "the stations, each a result of its own",
+        **_OF_EVERY_KIND,
+    },
+)
+NETWORK = ResultKind(
     NETWORK_FILE,
     NETWORK_CLOUD_FILE,
-    ROOM_CLOUD_FILE,
-    ROOM_MESH_FILE,
-    PLAN_FILE,
-    PLAN_DXF_FILE,
-    DENSE_FILE,
-    STEPS_FILE,
-    REPORT_FILE,
-    REFUSAL_FILE,
-    CAPTURE_FOLDER,
-    CAPTURES_FOLDER,
-    LOG_FILE,
-    MATCHES_FILE,
-}
+    None,
+    {
+        NETWORK_CLOUD_FILE: "one cloud from all cameras, with normals and colours",
+        NETWORK_FILE: "every device with its intrinsics and pose, the planes, and their sigmas",
+        CAPTURES_FOLDER: "the recordings of the pairs, and what was decoded",
+        LOG_FILE: _OF_EVERY_KIND[LOG_FILE],
+    },
+)
+KINDS = (ROOM, OBJECT, NETWORK, CORNER)
+
+_OURS = {REPORT_FILE, STEPS_FILE, *(name for kind in KINDS for name in kind.files)}
+
+
+def kind_of(folder: Path) -> ResultKind:
+    """The kind of a result folder: of a corner if nothing else is in it."""
+    return next((kind for kind in KINDS if (folder / kind.listing).is_file()), CORNER)
 
 
 def calibration_file(given: Path) -> Path:

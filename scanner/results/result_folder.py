@@ -20,11 +20,9 @@ from scanner.results.leftovers import frames_in, keep_recording, kept_text, sett
 from scanner.results.names import (
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
-    CLOUD_FILES,
     LOG_FILE,
-    OBJECT_FILE,
-    ROOM_FILE,
     is_occupied,
+    kind_of,
     refuse_to_lose,
     unused,
 )
@@ -53,7 +51,7 @@ def new_result(
             log.info(sentence)
         log.info("scan %s with the configuration %s", version("roomscan"), config.as_json())
         yield output.folder
-        if any((output.folder / name).is_file() for name in CLOUD_FILES):
+        if (output.folder / kind_of(output.folder).cloud).is_file():
             write_steps(output.folder, config.cloud.all_steps)
 
 
@@ -152,7 +150,7 @@ class OutputFolder:
             kept = "recording is" if (self.out / CAPTURE_FOLDER).exists() else "reason is"
             if (self.out / MATCHES_FILE).exists():
                 kept = "matches and a report are"
-            if (self.out / ROOM_FILE).exists() or (self.out / OBJECT_FILE).exists():
+            if kind_of(self.out).is_joined:
                 kept = "report and everything else are"
             elif (self.out / CAPTURES_FOLDER).exists():
                 kept = "captures are"

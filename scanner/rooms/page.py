@@ -9,7 +9,7 @@ from calib.pointcloud import MergedCloud
 from scanner.quantities import percent, plain, rig_quantities, shown_unit
 from scanner.rendering import page, render, view_along
 from scanner.reporting import VIEWER, PageImage, ScaledMap, extent_row, files_beside, picture
-from scanner.results import Provenance
+from scanner.results import ROOM, Provenance
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.floorplan import FloorPlan
 from scanner.rooms.floorplan_drawings import plan_svg
@@ -26,17 +26,6 @@ from scanner.rooms.verdict import verdict_on
 
 _VIEW = (960, 640)
 _FRUSTUM_OF_SIZE = 0.05
-_FILES = {
-    "room.ply": "one cloud of the whole room, with normals and colours",
-    "room.glb": "one mesh of it",
-    "room.yaml": "where every station stood, the planes, and their sigmas",
-    "calibration.yaml": "intrinsics of both devices and the motion between them, from all stations together",
-    "floorplan.svg": "the plan below",
-    "floorplan.dxf": "the same for CAD programs",
-    "captures": "the stations, each a result of its own",
-    "truth.yaml": "the simulated rig's true calibration",
-    "scan.log": "what the program did, step by step",
-}
 
 
 def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud, made: Provenance) -> None:
@@ -57,7 +46,7 @@ def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud
         pairs=list(_pairs(room)),
         residuals=[(station.name, _missed(station)) for station in room.stations],
         tables=rig_quantities(room.calibration),
-        files=files_beside(path, _FILES),
+        files=files_beside(path, ROOM),
         unit=room.unit,
     )
     path.write_text(text, encoding="utf-8")

@@ -11,23 +11,18 @@ from scanner.exporting import FORMATS, ExportRequest
 from scanner.io import read_whole
 from scanner.results import (
     CALIBRATION_FILE,
-    CLOUD_FILE,
+    KINDS,
     MERGED_FILE,
-    NETWORK_CLOUD_FILE,
     NETWORK_FILE,
-    OBJECT_CLOUD_FILE,
-    OBJECT_MESH_FILE,
     REFUSAL_FILE,
     REPORT_FILE,
-    ROOM_CLOUD_FILE,
-    ROOM_MESH_FILE,
 )
 from scanner.viewing.buttons import PLAIN
 from scanner.viewing.texts import link_html
 from scanner.viewing.view_controls import failures_shown
 
-_OF_ALL = (NETWORK_FILE, NETWORK_CLOUD_FILE, ROOM_CLOUD_FILE, ROOM_MESH_FILE, OBJECT_CLOUD_FILE, OBJECT_MESH_FILE)
-_FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, CLOUD_FILE, *_OF_ALL, REFUSAL_FILE)
+_SURFACES = tuple(name for kind in KINDS for name in (kind.cloud, kind.mesh) if name)
+_FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, NETWORK_FILE, *_SURFACES, REFUSAL_FILE)
 
 
 def add_files(gui: viser.GuiApi, folder: Path, link: Callable[[Path], str]) -> None:

@@ -8,7 +8,7 @@ from threading import Lock
 import viser
 
 from calib.numerics import Floats
-from scanner.results import NETWORK_FILE, Verdict, verdict_of
+from scanner.results import NETWORK, Verdict, kind_of, verdict_of
 from scanner.viewing.buttons import PLAIN
 from scanner.viewing.clicking import Clicking, SetScale
 from scanner.viewing.colouring import Colouring
@@ -169,7 +169,7 @@ class ResultPanel:
 
 def reading(folder: Path) -> Show:
     """Read a result; returns what shows it on a panel. Raises InputError if it is none, or refused, or damaged."""
-    if (folder / NETWORK_FILE).is_file():
+    if kind_of(folder) is NETWORK:
         cloud = network_cloud(folder)
         return lambda panel: panel.open_verdict(folder, cloud)
     result = ViewedResult(folder)

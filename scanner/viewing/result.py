@@ -20,14 +20,13 @@ from scanner.quantities import FACE_NAMES, device_names
 from scanner.rendering import photograph
 from scanner.results import (
     CALIBRATION_FILE,
-    MERGED_FILE,
-    POSES_FILE,
     TRUTH_FILE,
     FinishedResult,
     FinishedScan,
     PlacedScan,
     Verdict,
     capture_folders,
+    is_merged,
     read_calibration_of,
     read_finished_result,
     read_finished_scan,
@@ -175,8 +174,7 @@ class ViewedResult:
         """Return the names of the clouds, the best first."""
         if self._room is not None:
             return (WHOLE_THING if self._room.is_object else WHOLE_ROOM, *self._captures)
-        is_merged = all((self.folder / name).is_file() for name in (MERGED_FILE, POSES_FILE))
-        merged = (ALL_CAPTURES,) if is_merged else ()
+        merged = (ALL_CAPTURES,) if is_merged(self.folder) else ()
         return (*merged, *self._captures)
 
     @cached_property

@@ -9,11 +9,9 @@ from scanner.exporting.result_mesh import surface_through, with_mesh_steps
 from scanner.exporting.triangles import Mesh, build_mesh
 from scanner.io import StoredDevice, read_network
 from scanner.results import (
-    NETWORK_CLOUD_FILE,
-    NETWORK_FILE,
-    OBJECT_FILE,
-    ROOM_FILE,
+    NETWORK,
     capture_folders,
+    kind_of,
     read_steps,
 )
 
@@ -34,9 +32,10 @@ def read_scene(result: Path, capture: int | None) -> MappedScene:
     """Of a network, or of a single camera and projector: those of a capture or station by number, by default of the
     newest capture. Raises InputError.
     """
-    if (result / NETWORK_FILE).is_file():
+    kind = kind_of(result)
+    if kind is NETWORK:
         return _of_network(result)
-    if capture is None and any((result / name).is_file() for name in (ROOM_FILE, OBJECT_FILE)):
+    if capture is None and kind.is_joined:
         raise InputError(
             f"{result}: rig or object was moved between its stations, so no projector stands where it stood; "
             "export one station, as with --capture 1"
@@ -51,14 +50,14 @@ def read_scene(result: Path, capture: int | None) -> MappedScene:
 
 
 def _of_network(result: Path) -> MappedScene:
-    network = read_network(result / NETWORK_FILE)
+    network = read_network(result / NETWORK.listing)
     projectors = tuple(each for each in network.devices if each.kind == "projector")
     if not projectors:
-        raise InputError(f"{result / NETWORK_FILE}: has no projector, so there is nothing to map")
+        raise InputError(f"{result / NETWORK.listing}: has no projector, so there is nothing to map")
     cleaned = read_cleaned(result, own_axes=True)
     mesh = surface_through(cleaned.cloud())
     if mesh is None:
-        raise InputError(f"{result / NETWORK_CLOUD_FILE}: its points do not hang together as a surface to project on")
+        raise InputError(f"{result / NETWORK.cloud}: its points do not hang together as a surface to project on")
     mesh = with_mesh_steps(mesh, cleaned.steps)
     first, second = (each.name for each in network.devices[:2])
     return MappedScene(projectors, mesh, f"from {first} to {second}")
