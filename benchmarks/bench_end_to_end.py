@@ -39,11 +39,12 @@ from calib.geometry import Intrinsics
 from calib.numerics import Image
 from calib.synthetic import PAPER_CAMERA, look_at
 from hw.rig import Frame
+from scanner.acquisition import decode
 from scanner.capture import Stream
 from scanner.configuration import Config
 from scanner.decoding import Floats32
 from scanner.patterns import Pattern, sequence_for
-from scanner.pipeline import decode, reconstruct
+from scanner.reconstruction import reconstruct
 from scanner.reporting import page as report
 
 CAMERA = replace(PAPER_CAMERA, distortion=(-0.02, 0.0, 0.0, 0.0, 0.0))
@@ -111,15 +112,15 @@ def one_run(frames: list[Image], patterns: tuple[Pattern, ...], profile: cProfil
     watch, last = Stopwatch(), list[tuple[float, float]]()
     watched = watch.watched(ALONE, BESIDE, report.PARTS, "report: ")
     with tempfile.TemporaryDirectory() as folder, watched, profile or nullcontext():
-        found = decode(stream_of(frames, patterns, CAMERA, last), watch, "Decoding")
-        reconstruct([found], config, Path(folder), watch)
+        (decoded,) = decode([stream_of(frames, patterns, CAMERA, last)], watch, "Decoding")
+        reconstruct([decoded], config, Path(folder), watch)
     clock, processors = last[0]
     watch.steps[TOTAL] = Duration(time.perf_counter() - clock, time.process_time() - processors)
     writing = watch.steps[WRITING]
     watch.steps[TO_CLOUD] = Duration(
         watch.steps[TOTAL].clock_s - writing.clock_s, watch.steps[TOTAL].processors_s - writing.processors_s
     )
-    watch.matched = len(found.matches)
+    watch.matched = len(decoded.matches)
     return watch
 
 

@@ -27,6 +27,7 @@ from rich.table import Table
 
 from calib.numerics import Floats, Image
 from hw.open_rig import open_rig
+from scanner.acquisition import take
 from scanner.configuration import Config
 from scanner.live import (
     FRAMES,
@@ -42,7 +43,6 @@ from scanner.live import (
     take_rounds,
     watch,
 )
-from scanner.pipeline import take
 from scanner.ui import Terminal
 
 sys.path.append(str(Path(__file__).parents[1]))

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from scanner import pipeline
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import require_memory
 from scanner.objects import calibrate_without_corner
-from scanner.reconstruction import is_calibration, read_captures, refuse_impossible
+from scanner.reconstruction import is_calibration, read_captures, reconstruct, refuse_impossible
 from scanner.results import Scan, new_result
 from scanner.rooms import read_recording
 from scanner.ui import SILENT, Terminal
@@ -37,4 +36,4 @@ def calibrate(
     refuse_impossible(config, len(captures))
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
         without_corner = None if known else calibrate_without_corner
-        return pipeline.reconstruct(captures, config, folder, terminal, without_corner=without_corner)
+        return reconstruct(captures, config, folder, terminal, without_corner=without_corner)

@@ -15,12 +15,19 @@ from calib.diagnostics import Uncertainty
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Size
 from calib.numerics import Bools
-from scanner import pipeline
+from scanner.acquisition import decode_recording, noting_missing_frames, take, take_captures
 from scanner.capture import CAPTURE_FILE, Recording, check_places, open_capture
 from scanner.configuration import Config, recorded_config
 from scanner.errors import InputError
 from scanner.io import read_calibration, refuse_other_sizes
-from scanner.reconstruction import lenses_of, read_captures, read_masks, refuse_impossible
+from scanner.reconstruction import (
+    OnCloud,
+    lenses_of,
+    read_captures,
+    read_masks,
+    reconstruct,
+    refuse_impossible,
+)
 from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, Scan, new_result, read_uncertainty, settle, unused
 from scanner.ui import SILENT, Operator, Progress, Terminal
 
@@ -42,7 +49,7 @@ def scan(
     terminal: Terminal = SILENT,
     operator: Operator | None = None,
     progress: Progress | None = None,
-    on_cloud: pipeline.OnCloud | None = None,
+    on_cloud: OnCloud | None = None,
 ) -> Scan:
     """Scan with the configured rig: capture, calibrate, reconstruct.
 
@@ -59,16 +66,8 @@ def scan(
     check_places(config.required_rig, captures, operator or terminal)
     earlier, drawn = _read_beside(captures, config, (config.camera_size, config.projector_size), masks, config.earlier)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
-        return pipeline.scan(
-            config,
-            folder,
-            operator or terminal,
-            progress or terminal,
-            number=captures,
-            masks=drawn,
-            earlier=earlier,
-            on_cloud=on_cloud,
-        )
+        taken = take_captures(config, folder, captures, earlier, operator or terminal, progress or terminal)
+        return reconstruct(taken, config, folder, progress or terminal, masks=drawn, on_cloud=on_cloud)
 
 
 def resume(
@@ -101,10 +100,10 @@ def resume(
     earlier, drawn = _read_beside(1, settings, sizes, masks, [*settings.earlier, *whole])
     with new_result(out, settings, overwrite=overwrite, keep_capture=True, tell=terminal.note) as made:
         name = f"Capture {len(earlier) + 1}"
-        taken = pipeline.take(settings.required_rig, settings, made, terminal, name, begun)
+        taken = take(settings.required_rig, settings, made, terminal, name, begun)
         message = f"The frames that {folder} holds are in this result, too."
         capture = taken.with_findings(Finding(RESUMED, Severity.NOTE, message))
-        return pipeline.reconstruct([*earlier, capture], settings, made, terminal, masks=drawn), out
+        return reconstruct([*earlier, capture], settings, made, terminal, masks=drawn), out
 
 
 def replay(
@@ -136,11 +135,11 @@ def replay(
     with new_result(out, settings, overwrite=overwrite, tell=terminal.note) as folder:
         if keep_recording:
             recording.copy_to(folder / CAPTURE_FOLDER)
-        if known:
-            return pipeline.replay_calibrated(recording, *known, settings, folder, terminal)
-        with pipeline.noting_missing_frames(recording):
-            found = pipeline.decode_recording(recording, terminal)
-            return pipeline.reconstruct([*earlier, found], settings, folder, terminal, masks=drawn)
+        with noting_missing_frames(recording):
+            decoded = decode_recording(recording, terminal, known[0] if known else None)
+            if known is None:
+                return reconstruct([*earlier, decoded], settings, folder, terminal, masks=drawn)
+        return reconstruct([decoded], settings, folder, terminal, given=known)
 
 
 def _read_beside(

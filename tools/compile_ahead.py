@@ -20,11 +20,12 @@ from calib.geometry import Matches, Size
 from hw.open_rig import open_rig
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
+from scanner.acquisition import decode
 from scanner.capture import CaptureMetadata, capture
 from scanner.configuration import Config
 from scanner.exporting import FORMATS, ExportRequest
 from scanner.patterns import PRESETS, Phase
-from scanner.pipeline import decode, reconstruct
+from scanner.reconstruction import reconstruct
 from scanner.reconstruction.keystone.planes import planes_at
 from scanner.results import Decoded, GivenMatches, new_result
 from scanner.ui import Terminal
@@ -79,11 +80,12 @@ def _from_frames() -> None:
     """Decode every preset, and codes without fringes, for which the calibration has to be known."""
     with open_rig(_ROOMS[1], _CAMERA_SIZE, _PROJECTOR_SIZE) as opened:
         for preset in PRESETS.values():
-            matches = decode(capture(opened.rig, preset.patterns(_PROJECTOR_SIZE)), _QUIET, "Decoding").matches
+            (decoded,) = decode([capture(opened.rig, preset.patterns(_PROJECTOR_SIZE))], _QUIET, "Decoding")
+            matches = decoded.matches
         planes_at(matches.camera_px, matches.camera_px, np.zeros(len(matches.camera_px), np.int32))  # as keystone asks
         standard = PRESETS["standard"].patterns(_PROJECTOR_SIZE)
         codes = tuple(pattern for pattern in standard if not isinstance(pattern, Phase))
-        decode(capture(opened.rig, codes), _QUIET, "Decoding", calibration=opened.truth)
+        decode([capture(opened.rig, codes)], _QUIET, "Decoding", calibration=opened.truth)
 
 
 def _from_matches() -> None:

@@ -11,11 +11,11 @@ from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import SQUARE_PIXELS, Matches, PixelGrid, Size, TooFewMatchesError
 from calib.numerics import Image
 from calib.refinement import into_cells
+from scanner.acquisition import decode
 from scanner.capture import CAPTURE_FILE, Recording, open_capture
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import given_path, refuse_other_sizes
-from scanner.pipeline import decode
 from scanner.quantities import shown_unit
 from scanner.reconstruction import lenses_of
 from scanner.results import Decoded
@@ -139,7 +139,7 @@ def _names(recordings: Sequence[Recording]) -> list[str]:
 
 def _find_in(recording: Recording, name: str, target: Target, progress: Progress) -> BoardCapture | Missing:
     try:
-        decoded = decode(recording.stream(), progress, f"Decoding {name}", name)
+        (decoded,) = decode([recording.stream()], progress, f"Decoding {name}", [name])
     except InputError as error:
         # A bad capture among good ones is left out and named, like one without a board.
         return Missing(name, str(error))

@@ -10,10 +10,10 @@ from calib.boards import FEWEST_VIEWS, best_next_pose
 from calib.refusal import RefusalError
 from hw.backends import RigSettings
 from hw.settings import SimulatedRigSettings
+from scanner.acquisition import take
 from scanner.boards.calibrate import BoardCapture, FromBoards, Missing, calibrate_board_captures, find_board
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.pipeline import take
 from scanner.reconstruction import lenses_of
 from scanner.results import CAPTURES_FOLDER
 from scanner.targets import Target

@@ -11,6 +11,7 @@ from calib.numerics import Bools, Floats
 from calib.refusal import RIG, RefusalError
 from calib.self_calibration import SelfCalibration
 from hw.rig import Rig
+from scanner.acquisition import decode
 from scanner.capture import capture
 from scanner.checking.fringes import FringeMeter
 from scanner.checking.report import LEAST_SHARE, CheckRow
@@ -18,7 +19,6 @@ from scanner.configuration import Config
 from scanner.decoding import Decoding, MaskReason, MirroredError
 from scanner.errors import FramesError, InputError
 from scanner.patterns import PRESETS, Pattern, Preset, PresetName
-from scanner.pipeline import decode
 from scanner.quantities import relative_focal_sigmas
 from scanner.reconstruction import label, solve
 from scanner.results import Decoded
@@ -105,7 +105,8 @@ def _take(
     stream = capture(rig, patterns, response=config.projector.known_response)
     watched = replace(stream, frames=meter.watch(stream.frames))
     try:
-        return Capture(decode(watched, terminal, what))
+        (decoded,) = decode([watched], terminal, what)
+        return Capture(decoded)
     except MirroredError:
         return Capture(None, "the projector mirrors its picture", _MIRRORED)
     except InputError as error:

@@ -9,12 +9,12 @@ import numpy as np
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import FACES, NO_FACE, Size
 from calib.refusal import RefusalError
+from scanner.acquisition import decode_recording
 from scanner.capture import Recording, open_capture
 from scanner.configuration import Config
 from scanner.decoding import MirroredError
 from scanner.errors import InputError
 from scanner.io import given_path
-from scanner.pipeline import decode_recording
 from scanner.reconstruction import label
 from scanner.results import CAPTURE_FOLDER, Decoded
 from scanner.ui import Terminal

@@ -7,11 +7,11 @@ from pathlib import Path
 from calib.geometry import Size
 from hw.open_rig import OpenedNetwork, open_network
 from hw.real_devices import PairSettings
+from scanner.acquisition import PlannedCapture, take_together
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.networks.captures import Captures, Pair, labelled
 from scanner.networks.sights import OnSight, PairProgress, Watched, nobody
-from scanner.pipeline import PlannedCapture, take_together
 from scanner.results import CAPTURES_FOLDER, Decoded
 from scanner.ui import Progress
 

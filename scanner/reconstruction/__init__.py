@@ -8,5 +8,6 @@ from scanner.reconstruction.merge_clouds import brightness, consistency, merge
 from scanner.reconstruction.metric_scale import scaled, scaled_by_sheet
 from scanner.reconstruction.moved_captures import shifts_of
 from scanner.reconstruction.priors import is_calibration, lenses_by_name, lenses_of
-from scanner.reconstruction.save import EarlyMatches, refusal_saved, save, set_aside
+from scanner.reconstruction.reconstruct import OnCloud, reconstruct
+from scanner.reconstruction.save import refusal_saved, save, set_aside
 from scanner.reconstruction.triangulate import find_change_in, refuse_foreign, refuse_misfit, triangulate

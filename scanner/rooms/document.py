@@ -5,11 +5,11 @@ from pathlib import Path
 
 from calib.finding import Finding
 from calib.geometry import Calibration
+from scanner.acquisition import decode_recording
 from scanner.capture import CAPTURE_FILE, open_capture
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, real_path
-from scanner.pipeline import decode_recording
 from scanner.reconstruction import find_change_in, read_captures
 from scanner.results import CAPTURES_FOLDER, Decoded, read_joined, read_uncertainty
 from scanner.rooms.contents import RigStart

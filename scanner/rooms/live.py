@@ -13,11 +13,11 @@ from calib.numerics import Bools
 from calib.refusal import RefusalError
 from calib.registration import Group, Pair, register
 from hw.open_rig import at_place, moves_by_itself
+from scanner.acquisition import take
 from scanner.capture import check_places
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, write_matches
-from scanner.pipeline import take
 from scanner.reconstruction import lenses_of
 from scanner.results import CAPTURES_FOLDER, TRUTH_FILE, Decoded
 from scanner.rooms.contents import RigStart

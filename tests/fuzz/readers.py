@@ -17,9 +17,9 @@ from tests.fuzz.mutations import Random, of_bytes, of_header, of_yaml
 
 def capture(folder: Path) -> Run:
     """`capture.yaml`, and the decoder on frames that fit it."""
+    from scanner.acquisition import decode
     from scanner.capture import identity, open_capture
     from scanner.patterns import sequence_for
-    from scanner.pipeline import decode
     from scanner.ui import Terminal
     from tests.support.small_capture import SIZE, read_listing, write_capture
 
@@ -33,7 +33,7 @@ def capture(folder: Path) -> Run:
         (folder / "room" / "capture.yaml").write_bytes(of_yaml(listing, rng))
         recording = open_capture(folder / "room")
         assert sum(map(len, identity(recording.metadata).values())) < MOST_CHARACTERS
-        decode(recording.stream(), terminal, "Decoding")
+        decode([recording.stream()], terminal, "Decoding")
 
     return guarded(read)
 

@@ -20,7 +20,7 @@ from hw.rig import settable_exposure
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedRoom
 from hw.timing import frame_reader, stream_calibration
-from scanner import pipeline
+from scanner import jobs
 from scanner.capture import open_capture
 from scanner.commands import main
 from scanner.commands import scan as scan_command
@@ -120,7 +120,7 @@ def phone(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Iterator[Phon
         monkeypatch.setattr(stream_calibration, "_WATCHED_S", 0.5)
         monkeypatch.setattr(frame_reader, "_NOTHING_S", 0.8)
         monkeypatch.setattr(opencv, "_OPENING_MS", 1500)
-        monkeypatch.setattr(pipeline, "reconstruct", lambda found, *_, **__: found)
+        monkeypatch.setattr(jobs, "reconstruct", lambda found, *_, **__: found)
         monkeypatch.setattr(scan_command, "show_outcome", lambda *_: None)
         phone.shown = 0
         yield phone

@@ -24,7 +24,7 @@ import numpy as np
 
 from hw.open_rig import OpenedRig
 from hw.rig import Capabilities, Frame, Rig
-from scanner import pipeline
+from scanner import acquisition, jobs
 from scanner.commands import main
 from scanner.commands import scan as scan_command
 from tests.support.small_capture import SIZE
@@ -184,8 +184,8 @@ def child(request: dict[str, Any]) -> None:
 
 def serve() -> None:
     """Fork for each line of stdin; report the exit code, or minus the signal, on stdout."""
-    setattr(pipeline, "open_rig", open_mirror)  # noqa: B010
-    setattr(pipeline, "reconstruct", reconstruct)  # noqa: B010
+    setattr(acquisition, "open_rig", open_mirror)  # noqa: B010
+    setattr(jobs, "reconstruct", reconstruct)  # noqa: B010
     setattr(scan_command, "show_outcome", lambda *_: None)  # noqa: B010
     signal.signal(signal.SIGINT, signal.default_int_handler)
     cv2.setNumThreads(0)  # no thread may be running when this process forks

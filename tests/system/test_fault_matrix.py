@@ -74,7 +74,7 @@ RECORDING = [
     ("SIGKILL", Moment("between line and disk", f"{RECORDER}:_Syncing.begin", TAKEN, TAKEN)),
     ("SIGKILL", Moment("while it decodes", "scanner.decoding.decoder:Decoder.finish", 1, len(PATTERNS))),
     ("SIGKILL", Moment("in the header", f"{RECORDER}:_append", 1, 0)),
-    ("SIGKILL", Moment("while the result is written", "scanner.pipeline:reconstruct", 1, len(PATTERNS))),
+    ("SIGKILL", Moment("while the result is written", "scanner.jobs:reconstruct", 1, len(PATTERNS))),
 ]
 
 
@@ -242,7 +242,7 @@ DISKS = [
     Disk("too few inodes", "size=20m,nr_inodes=20", ("needs 28 files", "takes only", "inodes")),
     Disk("read-only", "size=20m", ("cannot be made: Read-only file system",), read_only=True),
     Disk("filled while frames come", "size=20m", FULL, (f"{RECORDER}:write_png", TAKEN), TAKEN - 1),
-    Disk("filled before the result", "size=20m", FULL, ("scanner.pipeline:reconstruct", 1), len(PATTERNS)),
+    Disk("filled before the result", "size=20m", FULL, ("scanner.jobs:reconstruct", 1), len(PATTERNS)),
 ]
 
 

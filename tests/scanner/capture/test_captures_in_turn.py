@@ -1,6 +1,6 @@
 """`scan --captures N`: how the rig is moved, who is asked, and what remains after a device failure."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from hw.errors import DeviceError
 from hw.open_rig import OpenedRig, at_place
 from hw.rig import Capabilities, Frame, Rig
 from hw.settings import SimulatedRigSettings
-from scanner import pipeline
+from scanner import acquisition
 from scanner.capture import rig_placement as places
 from scanner.capture.recording import open_capture
 from scanner.commands import main
@@ -19,7 +19,6 @@ from scanner.configuration import load_config
 from scanner.decoding import SMOOTH_PX
 from scanner.errors import InputError
 from scanner.reconstruction import read_captures
-from scanner.results import Decoded
 from scanner.ui import Terminal
 from tests.support.small_capture import SIZE
 
@@ -81,7 +80,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[SimulatedRigSettings]:
         mirror = Mirror(BEFORE_PATTERNS + 3 if len(settings_seen) == 2 else 1000)
         yield OpenedRig(Rig(mirror, mirror), None)
 
-    monkeypatch.setattr(pipeline, "open_rig", open_mirror)
+    monkeypatch.setattr(acquisition, "open_rig", open_mirror)
     return settings_seen
 
 
@@ -110,7 +109,7 @@ def test_a_device_failure_keeps_the_captured_frames(
     assert found.name == str(kept / "captures/1")
     assert len(found.matches) > 0.5 * SIZE[0] * SIZE[1]
     # Its matches are no surer than they were when they were decoded: 'quick' errs more than usual fringes do.
-    decoded = pipeline.decode_recording(whole, Operator())
+    decoded = acquisition.decode_recording(whole, Operator())
     assert 3 * SMOOTH_PX < found.origin.smooth_px == decoded.origin.smooth_px < 4 * SMOOTH_PX
 
 
@@ -124,14 +123,12 @@ def unmoved(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_operator_is_asked_between_captures_and_may_stop(
     tmp_path: Path, config: Path, opened: list[SimulatedRigSettings], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    taken: list[Sequence[Decoded]] = []
-    monkeypatch.setattr(pipeline, "reconstruct", lambda captures, *_, **__: taken.append(captures))
     opened.extend([SimulatedRigSettings()] * 2)  # so that none of those to come breaks
     operator = Operator("", "q")
-    pipeline.scan(load_config(config), tmp_path, operator, operator, number=4)
+    taken = acquisition.take_captures(load_config(config), tmp_path, 4, (), operator, operator)
     assert len(operator.questions) == 2
     assert "Capture 2 of 4 is done" in operator.questions[1]
-    assert [found.name for found in taken[0]] == ["Capture 1", "Capture 2"]
+    assert [found.name for found in taken] == ["Capture 1", "Capture 2"]
     assert (tmp_path / "capture/capture.yaml").exists()
     assert (tmp_path / "captures/1/capture/capture.yaml").exists()
     assert not (tmp_path / "captures/2").exists()

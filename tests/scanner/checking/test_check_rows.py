@@ -14,6 +14,7 @@ from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Rig, exposure_control
 from hw.simulated import SimulatedCamera, SimulatedRoom
+from scanner.acquisition import decode
 from scanner.capture import capture
 from scanner.checking import view
 from scanner.checking.check import check_rig
@@ -27,7 +28,6 @@ from scanner.checking.steadiness import InitialState, levels_of, patterns, row_o
 from scanner.decoding import Decoding
 from scanner.decoding.motion import RigidFit
 from scanner.patterns import ProjectorResponse
-from scanner.pipeline import decode
 from scanner.quantities import relative_focal_sigmas
 from scanner.reconstruction import label, solve
 from scanner.ui import Terminal
@@ -248,7 +248,7 @@ def test_a_clipping_response_is_reported() -> None:
 
 def test_the_predicted_sigma_matches_the_scan(room: SimulatedRoom, usual: CheckReport) -> None:
     whole = changed(room, exposure_us=PERIOD_US)
-    found = decode(capture(rig_in(whole), config().sequence.patterns(PROJECTOR)), QUIET, "")
+    (found,) = decode([capture(rig_in(whole), config().sequence.patterns(PROJECTOR))], QUIET, "")
     (solution,) = solve(label([found], [found], config()), config())
     truth = relative_focal_sigmas(solution.calibration)
     predicted = [float(word) / 100 for word in row(usual, "view").finding.message.split() if word[0].isdigit()]

@@ -12,7 +12,7 @@ import pytest
 from calib.geometry import Calibration, Intrinsics, Pose
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from scanner import pipeline
+from scanner import jobs
 from scanner.io import write_calibration
 from scanner.patterns import sequence_for, write_sequence
 from tests.support.command_line import run
@@ -214,7 +214,7 @@ def test_exit_codes_of_a_live_scan(
     code: int,
     words: tuple[str, ...],
 ) -> None:
-    monkeypatch.setattr(pipeline, "scan", fail_after_two_frames(error))
+    monkeypatch.setattr(jobs, "take_captures", fail_after_two_frames(error))
     assert run("--config", config, "--out", tmp_path / "room") == code
     output = capsys.readouterr()
     assert output.out == ""
@@ -228,7 +228,7 @@ def test_exit_codes_of_a_live_scan(
 def test_a_bug_is_reported_with_a_file_that_holds_its_traceback(
     tmp_path: Path, config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(pipeline, "scan", fail_after_two_frames(ZeroDivisionError("oops")))
+    monkeypatch.setattr(jobs, "take_captures", fail_after_two_frames(ZeroDivisionError("oops")))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert run("--config", config, "--out", tmp_path / "room") == 70
     message = capsys.readouterr().err
@@ -242,7 +242,7 @@ def test_a_bug_is_reported_with_a_file_that_holds_its_traceback(
 def test_everything_is_checked_before_the_capture(
     tmp_path: Path, config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(pipeline, "scan", fail_after_two_frames(AssertionError("the capture has begun")))
+    monkeypatch.setattr(jobs, "take_captures", fail_after_two_frames(AssertionError("the capture has begun")))
     occupied = tmp_path / "occupied"
     occupied.mkdir()
     (occupied / "thesis.tex").touch()

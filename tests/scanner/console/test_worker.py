@@ -15,7 +15,7 @@ import pytest
 from hw.errors import DeviceError, FrameLostError
 from hw.open_rig import OpenedRig
 from hw.rig import Capabilities, Frame, Rig
-from scanner import pipeline
+from scanner import acquisition
 from scanner.console import worker as worker_module
 from scanner.console.operating import chime
 from scanner.console.progress import CancelledError, ProgressStep, StagedProgress, durations_in
@@ -86,7 +86,7 @@ def wall(monkeypatch: pytest.MonkeyPatch) -> Wall:
             yield OpenedRig(rig, None)
 
     monkeypatch.setattr(worker_module, "opened", wall.rig)
-    monkeypatch.setattr(pipeline, "open_rig", open_rig)
+    monkeypatch.setattr(acquisition, "open_rig", open_rig)
     return wall
 
 

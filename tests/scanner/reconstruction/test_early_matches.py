@@ -9,7 +9,7 @@ import pytest
 
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_matches
-from scanner.reconstruction import EarlyMatches
+from scanner.reconstruction.save import EarlyMatches
 from scanner.results import Decoded
 from tests.support.cloud_scene import room
 from tests.support.result_folder import calibrated_report

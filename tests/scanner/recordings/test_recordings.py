@@ -8,10 +8,10 @@ import pytest
 import yaml
 from filming.camera import Camera
 
+from scanner.acquisition import decode_recording
 from scanner.capture import open_capture
 from scanner.decoding import Decoder
 from scanner.patterns import PresetName
-from scanner.pipeline import decode_recording
 from scanner.ui import Terminal
 from tests.support.command_line import run
 from tests.support.room import BIT_RATE, CAMERA, PROJECTOR, FilmedRoom

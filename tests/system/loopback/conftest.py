@@ -14,7 +14,7 @@ import pytest
 from hw.loopback import Conditions
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedRoom
-from scanner import pipeline
+from scanner import jobs
 from scanner.commands import scan as scan_command
 from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, ROOM, Keeper, Loopback
 
@@ -68,5 +68,5 @@ def config(tmp_path: Path) -> Path:
 @pytest.fixture
 def capture_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """End scans after decoding: the rest is slow and does not depend on the rig."""
-    monkeypatch.setattr(pipeline, "reconstruct", lambda found, *_, **__: found)
+    monkeypatch.setattr(jobs, "reconstruct", lambda found, *_, **__: found)
     monkeypatch.setattr(scan_command, "show_outcome", lambda *_: None)
