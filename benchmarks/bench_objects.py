@@ -29,7 +29,8 @@ from calib.numerics import Floats
 from calib.refusal import RefusalError
 from hw.simulated.things import Solid
 from scanner.objects import SolvedObject, cloud_of, solve_object, surface_of, verdict_on
-from scanner.rooms import CAMERA_FROM_ROOM, RigStart
+from scanner.rooms import CAMERA_FROM_ROOM
+from scanner.stations import RigStart
 from scanner.ui import Terminal
 
 sys.path.append(str(Path(__file__).parents[1]))

@@ -29,7 +29,8 @@ from calib.refusal import RefusalError
 from calib.rooms import angle_deg, centre_of, gap
 from scanner.configuration import Config
 from scanner.results import Decoded
-from scanner.rooms import RigStart, SolvedRoom, blended, read_stations, rig_from_stations, solve_room
+from scanner.rooms import SolvedRoom, blended, rig_from_stations, solve_room
+from scanner.stations import RigStart, read_stations
 from scanner.ui import Terminal
 
 _BALLS_M, _RADIUS_M = 3.0, 0.12

@@ -9,7 +9,7 @@ from scanner.io import require_memory
 from scanner.objects import calibrate_without_corner
 from scanner.reconstruction import is_calibration, read_captures, reconstruct, refuse_impossible
 from scanner.results import Scan, new_result
-from scanner.rooms import read_recording
+from scanner.stations import read_recording
 from scanner.ui import SILENT, Terminal
 
 _BYTES_PER_PIXEL = 50  # of the camera's image, for an organised cloud and its report

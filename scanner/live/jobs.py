@@ -28,7 +28,7 @@ from scanner.live.texts import cloud_text
 from scanner.live.watching import Account, watch
 from scanner.reconstruction import scaled
 from scanner.results import CAPTURES_FOLDER, Decoded, new_result
-from scanner.rooms import given_rig
+from scanner.stations import given_rig
 from scanner.ui import SILENT, Progress, Terminal
 
 # Rounds without a usable cloud after which an unattended run gives up.

@@ -3,16 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from calib.refusal import RefusalError
 from scanner.configuration import Config
-from scanner.networks.captures import read_pairs
+from scanner.networks.captures import Captures, read_pairs
 from scanner.networks.live import pairs_to_take, take_pairs
 from scanner.networks.save import save_network
 from scanner.networks.sights import OnSight, nobody
 from scanner.networks.solve import KnownDistance, SolvedNetwork, refuse_unknown, solve_network
-from scanner.networks.verdict import verdict_on
-from scanner.results import new_result
-from scanner.rooms import writing_refusals
+from scanner.results import Job
 from scanner.ui import SILENT, Progress, Terminal
 
 
@@ -37,13 +34,15 @@ def scan_network(
     if pairs:
         refuse_unknown(known, {name for pair in pairs for name in pair})
     observer = progress or terminal
-    made = new_result(out, config, overwrite=overwrite, keep_capture=not folders, tell=terminal.note)
-    with made as folder, writing_refusals(folder, config):
+
+    def acquire(folder: Path) -> Captures:
         captures = take_pairs(pairs, folder, observer, on_sight) if pairs else read_pairs(folders, config, terminal)
         refuse_unknown(known, captures.sizes)
-        solved = solve_network(captures, known, config, observer)
-        verdict = verdict_on(solved)
-        save_network(solved, verdict, folder, config)
-        if verdict.grade == "refused":
-            raise RefusalError.of(verdict.findings[0])
-    return solved
+        return captures
+
+    job = Job(
+        acquire,
+        lambda captures: solve_network(captures, known, config, observer),
+        lambda network, folder: save_network(network, folder, config),
+    )
+    return job.run(config, out, is_live=not folders, overwrite=overwrite, terminal=terminal)

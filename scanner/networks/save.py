@@ -13,6 +13,7 @@ from scanner.io import MATCHES_FILE, write_matches, write_room, write_room_ply
 from scanner.networks.graph import network_graph
 from scanner.networks.sights import PairProgress
 from scanner.networks.solve import SolvedNetwork
+from scanner.networks.verdict import verdict_on
 from scanner.quantities import shown_unit
 from scanner.rendering import page, render, view_along
 from scanner.reporting import (
@@ -46,8 +47,9 @@ _DEVICE_OF_SIZE = 0.05
 _FRAME = "network frame: that of its first device, x right, y down, z ahead"
 
 
-def save_network(network: SolvedNetwork, verdict: Verdict, folder: Path, config: Config) -> None:
-    """Write everything. Raises OSError."""
+def save_network(network: SolvedNetwork, folder: Path, config: Config) -> Verdict:
+    """Write everything, with the verdict, which is returned. Raises OSError."""
+    verdict = verdict_on(network)
     entries = provenance(folder, config).entries({}) | verdict_entries(verdict) | entries_of(network)
     write_room(folder / NETWORK_FILE, entries)
     for (camera, projector), capture in network.captures.decoded.items():
@@ -57,6 +59,7 @@ def save_network(network: SolvedNetwork, verdict: Verdict, folder: Path, config:
     cloud = cloud_of(network)
     write_room_ply(folder / NETWORK_CLOUD_FILE, cloud, _FRAME)
     _write_page(folder / REPORT_FILE, network, verdict, cloud, config)
+    return verdict
 
 
 def entries_of(network: SolvedNetwork) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The jobs of things: from stations that exist, and live."""
+"""The job of a thing: from stations that exist, or live."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,16 +10,11 @@ from scanner.objects.contents import ObjectSurface, SolvedObject
 from scanner.objects.object_rig import rig_from_object
 from scanner.objects.save import save_object
 from scanner.objects.solve import solve_object
-from scanner.objects.verdict import verdict_on
-from scanner.results import new_result
-from scanner.rooms import (
-    check_stations,
-    given_rig,
-    read_stations,
-    take_object_stations,
-    writing_refusals,
-)
+from scanner.results import Decoded, Job, Verdict
+from scanner.stations import check_stations, given_rig, read_stations, take_stations
 from scanner.ui import SILENT, Terminal
+
+_TURN = "Turn the thing, or put it down another way; leave the rig as it is"
 
 
 def scan_object(
@@ -42,17 +37,26 @@ def scan_object(
     config.principal_point(config.camera_size)
     if isinstance(stations, int):
         check_stations(config, stations, terminal)
-    made = new_result(out, config, overwrite=overwrite, keep_capture=isinstance(stations, int), tell=terminal.note)
-    with made as folder, writing_refusals(folder, config):
+    surface: ObjectSurface | None = None
+
+    def acquire(folder: Path) -> list[Decoded]:
         if isinstance(stations, int):
-            captures = take_object_stations(config, stations, folder, terminal)
-        else:
-            captures = read_stations(stations, config, terminal, known.given if known else None)
-        start = known or rig_from_object(captures, config, terminal)
-        solved = solve_object(captures, start, config, terminal)
-        surface = save_object(solved, folder, config, terminal, fill=fill)
-        verdict = verdict_on(solved)
-        if verdict.grade == "refused":
-            finding, reason = verdict.findings[0], " ".join([verdict.headline, *verdict.reasons[:1]])
-            raise NoMeasurementError(finding.kind, reason, finding.advice, finding.data)
+            return list(take_stations(config, stations, folder, terminal, _TURN))
+        return read_stations(stations, config, terminal, known.given if known else None)
+
+    def solve(captures: Sequence[Decoded]) -> SolvedObject:
+        return solve_object(captures, known or rig_from_object(captures, config, terminal), config, terminal)
+
+    def write(solved: SolvedObject, folder: Path) -> Verdict:
+        nonlocal surface
+        surface, verdict = save_object(solved, folder, config, terminal, fill=fill)
+        return verdict
+
+    job = Job(acquire, solve, write, _refusal_of)
+    solved = job.run(config, out, is_live=isinstance(stations, int), overwrite=overwrite, terminal=terminal)
     return solved, surface
+
+
+def _refusal_of(verdict: Verdict) -> NoMeasurementError:
+    finding, reason = verdict.findings[0], " ".join([verdict.headline, *verdict.reasons[:1]])
+    return NoMeasurementError(finding.kind, reason, finding.advice, finding.data)

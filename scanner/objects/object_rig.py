@@ -11,7 +11,8 @@ from scanner.configuration import Config
 from scanner.objects.solve import solve_object
 from scanner.reconstruction import scaled
 from scanner.results import Decoded, GivenCalibration
-from scanner.rooms import RigStart, after_no_corner, calibrate_by_pictures, rig_from_placed, start_of
+from scanner.rooms import after_no_corner, calibrate_by_pictures, rig_from_placed, start_of
+from scanner.stations import RigStart
 from scanner.ui import Progress
 
 log = logging.getLogger(__name__)

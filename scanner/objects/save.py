@@ -16,6 +16,7 @@ from scanner.results import (
     OBJECT_FILE,
     OBJECT_MESH_FILE,
     REPORT_FILE,
+    Verdict,
     finding_entries,
     pose_error_entries,
     provenance,
@@ -26,11 +27,13 @@ from scanner.ui import Progress
 
 def save_object(
     solved: SolvedObject, folder: Path, config: Config, progress: Progress, *, fill: bool
-) -> ObjectSurface | None:
-    """Write everything. Raises OSError, InputError if Open3D cannot be loaded."""
-    made = provenance(folder, config)
+) -> tuple[ObjectSurface | None, Verdict]:
+    """Write everything; returns the surface, if there is one, and the verdict. Raises OSError, InputError if Open3D
+    cannot be loaded.
+    """
+    made, verdict = provenance(folder, config), verdict_on(solved)
     with progress.step("Writing the stations"):
-        write_stations(folder, solved.stations, solved.calibration, verdict_on(solved), solved.uncertainty, made)
+        write_stations(folder, solved.stations, solved.calibration, verdict, solved.uncertainty, made)
     with progress.step("Blending the clouds"):
         cloud = cloud_of(solved)
         write_room_ply(folder / OBJECT_CLOUD_FILE, cloud)
@@ -41,7 +44,7 @@ def save_object(
     write_room(folder / OBJECT_FILE, entries_of(solved, surface))
     with progress.step("Report"):
         write_page(folder / REPORT_FILE, solved, surface, cloud, made)
-    return surface
+    return surface, verdict
 
 
 def entries_of(solved: SolvedObject, surface: ObjectSurface | None) -> dict[str, Any]:

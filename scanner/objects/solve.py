@@ -36,7 +36,8 @@ from scanner.configuration import Config
 from scanner.objects.contents import SolvedObject
 from scanner.reconstruction import refuse_foreign, scaled
 from scanner.results import Decoded, naming
-from scanner.rooms import OutlierStation, RigStart, Station, find_change_of
+from scanner.rooms import OutlierStation, Station
+from scanner.stations import RigStart, find_change_of
 from scanner.ui import Progress
 
 _LOOSE_DEG, _LOOSE_OF_SIZE = 0.5, 0.01

@@ -21,6 +21,7 @@ from scanner.results.finished_result import (
     read_joined,
 )
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
+from scanner.results.job import Job
 from scanner.results.leftovers import frames_in, kept_text, settle
 from scanner.results.names import (
     CALIBRATION_FILE,

@@ -1,13 +1,12 @@
 """Whole rooms: stations → the rig, its poses, the walls; and the files for people."""
 
 from scanner.rooms.blended_cloud import blended, blended_of
-from scanner.rooms.contents import OutlierStation, RigStart, SolvedRoom, Station
+from scanner.rooms.contents import OutlierStation, SolvedRoom, Station
 from scanner.rooms.corner_rig import state_of
-from scanner.rooms.document import find_change_of, given_rig, read_recording, read_stations
 from scanner.rooms.epipolar_lines import CHANGED_RIG
 from scanner.rooms.floorplan import floor_plan
-from scanner.rooms.jobs import scan_room, writing_refusals
-from scanner.rooms.live import StationComparison, check_stations, take_object_stations
+from scanner.rooms.jobs import scan_room
+from scanner.rooms.live import StationComparison
 from scanner.rooms.mesh import CAMERA_FROM_ROOM
 from scanner.rooms.scene_rig import (
     after_no_corner,

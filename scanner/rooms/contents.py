@@ -1,6 +1,5 @@
 """What is known of a whole room: its stations, how they belong together, and the estimate of all of it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,22 +13,6 @@ from calib.pointcloud import Cloud
 from calib.registration import Group, Pair
 from calib.rooms import RoomEstimate
 from scanner.results import Decoded
-
-
-@dataclass(frozen=True, eq=False)
-class RigStart:
-    """The rig before its room is estimated, in baselines.
-
-    `corners`: the stations from whose corners it was calibrated, by number, with their faces; empty if the calibration
-    was `given`, in its own unit, or is by what stations share. `uncertainty`: None if a given one states none.
-    `findings`: what is worth knowing of it.
-    """
-
-    calibration: Calibration
-    uncertainty: Uncertainty | None
-    corners: Mapping[int, Decoded]
-    given: Calibration | None = None
-    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,8 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.reconstruction import label, solve
 from scanner.results import Decoded
-from scanner.rooms.contents import RigStart
 from scanner.rooms.epipolar_lines import line_offsets, usual_px
+from scanner.stations import RigStart
 from scanner.ui import Progress
 
 # Sigmas of a single corner assume a small deviation of the walls from square; in real rooms they are slightly too

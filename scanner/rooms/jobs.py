@@ -1,21 +1,18 @@
-"""The jobs of rooms: from stations that exist, and live."""
+"""The job of a room: from stations that exist, or live."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from calib.refusal import RefusalError
 from scanner.configuration import Config
 from scanner.exporting import open3d
-from scanner.results import REFUSAL_FILE, Verdict, new_result, provenance, verdict_entries, write_refusal
+from scanner.results import Decoded, Job
 from scanner.rooms.contents import SolvedRoom
-from scanner.rooms.document import given_rig, read_stations
-from scanner.rooms.live import check_stations, take_stations
+from scanner.rooms.live import take_room
 from scanner.rooms.save import save_room
 from scanner.rooms.scene_rig import rig_from_stations
 from scanner.rooms.solve import solve_room
-from scanner.rooms.verdict import verdict_on
+from scanner.stations import RigStart, check_stations, given_rig, read_stations
 from scanner.ui import SILENT, Terminal
 
 
@@ -38,30 +35,18 @@ def scan_room(
     known = given_rig(calibration, config) if calibration else None
     if isinstance(stations, int):
         check_stations(config, stations, terminal)
-    made = new_result(out, config, overwrite=overwrite, keep_capture=isinstance(stations, int), tell=terminal.note)
-    with made as folder, writing_refusals(folder, config):
+
+    def acquire(folder: Path) -> tuple[list[Decoded], RigStart]:
         if isinstance(stations, int):
-            captures, start = take_stations(config, stations, folder, terminal)
-        else:
-            captures = read_stations(stations, config, terminal, known.given if known else None)
-            start = known or rig_from_stations(captures, config, terminal)
+            return take_room(config, stations, folder, terminal)
+        captures = read_stations(stations, config, terminal, known.given if known else None)
+        return captures, known or rig_from_stations(captures, config, terminal)
+
+    def solve(acquired: tuple[list[Decoded], RigStart]) -> SolvedRoom:
+        captures, start = acquired
         if any(capture.only_axis for capture in captures):
             start = replace(start, uncertainty=None)  # one axis fits the epipolar lines of any rig
-        solved = solve_room(captures, start, config, terminal)
-        save_room(solved, folder, config, terminal)
-        verdict = verdict_on(solved)
-        if verdict.grade == "refused":
-            raise RefusalError.of(verdict.findings[0])
-    return solved
+        return solve_room(captures, start, config, terminal)
 
-
-@contextmanager
-def writing_refusals(folder: Path, config: Config) -> Iterator[None]:
-    """After a RefusalError in the block the folder says why, for programs."""
-    try:
-        yield
-    except RefusalError as refusal:
-        finding = refusal.finding
-        verdict = Verdict("refused", finding.message, (), finding.advice, (finding,), (finding.kind,))
-        write_refusal(folder / REFUSAL_FILE, provenance(folder, config).entries({}) | verdict_entries(verdict))
-        raise
+    job = Job(acquire, solve, lambda room, folder: save_room(room, folder, config, terminal))
+    return job.run(config, out, is_live=isinstance(stations, int), overwrite=overwrite, terminal=terminal)

@@ -1,10 +1,9 @@
-"""Stations one after the other with the configured rig: whether each overlaps the earlier ones, where to stand next."""
+"""Stations of a room one after the other: whether each overlaps the earlier ones, where to stand next."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from shutil import copy2
 
 import numpy as np
 
@@ -12,20 +11,14 @@ from calib.geometry import Calibration, Pose
 from calib.numerics import Bools
 from calib.refusal import RefusalError
 from calib.registration import Group, Pair, register
-from hw.open_rig import at_place, moves_by_itself
-from scanner.acquisition import take
-from scanner.capture import check_places
 from scanner.configuration import Config
-from scanner.errors import InputError
-from scanner.io import MATCHES_FILE, write_matches
-from scanner.reconstruction import lenses_of
-from scanner.results import CAPTURES_FOLDER, TRUTH_FILE, Decoded
-from scanner.rooms.contents import RigStart
+from scanner.results import Decoded
 from scanner.rooms.corner_rig import SeenCorner, corner_in, rig_of
 from scanner.rooms.epipolar_lines import of_another_rig
 from scanner.rooms.scene_rig import rig_from_scene
 from scanner.rooms.solve import CaptureView, segment_capture
 from scanner.rooms.upright import upright
+from scanner.stations import RigStart, take_stations
 from scanner.ui import Terminal
 
 _BINS = 36
@@ -35,22 +28,14 @@ _COMMON = 1 / 3  # share of a view that the next station should still see
 _PATIENCE_S = 30.0  # longest wait for advice between stations
 
 
-def check_stations(config: Config, number: int, terminal: Terminal) -> None:
-    """Raise InputError if the rig does not have this many poses, nobody can be asked to move it, or a file of the
-    calibration is invalid.
+def take_room(config: Config, number: int, folder: Path, terminal: Terminal) -> tuple[list[Decoded], RigStart]:
+    """Stations from this many places, or fewer if the operator ends, and the rig by them. Raises DeviceError,
+    RefusalError.
     """
-    if number < 2:
-        raise InputError(f"--stations: expected 2 or more, found {number}")
-    lenses_of(config, config.camera_size, config.projector_size)
-    check_places(config.required_rig, number, terminal, option="--stations", joined="scan room")
-
-
-def take_stations(config: Config, number: int, folder: Path, terminal: Terminal) -> tuple[list[Decoded], RigStart]:
-    """Capture from this many places, or fewer if the operator ends. Raises DeviceError, RefusalError."""
     captures: list[Decoded] = []
     corners: dict[int, SeenCorner] = {}
     comparison = StationComparison()
-    for step, capture in enumerate(_taken(config, number, folder, terminal, "Move the rig as a whole")):
+    for step, capture in enumerate(take_stations(config, number, folder, terminal)):
         captures.append(capture)
         try:
             corners[step] = corner_in(capture, config)
@@ -63,27 +48,6 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
             for sentence in guidance:
                 terminal.show(sentence)
     return captures, rig_of(corners, captures) if corners else rig_from_scene(captures, config, terminal)
-
-
-def take_object_stations(config: Config, number: int, folder: Path, terminal: Terminal) -> list[Decoded]:
-    """Capture a thing this many times, or fewer if the operator ends, with the rig at rest. Raises DeviceError."""
-    turn = "Turn the thing, or put it down another way; leave the rig as it is"
-    return list(_taken(config, number, folder, terminal, turn))
-
-
-def _taken(config: Config, number: int, folder: Path, terminal: Terminal, what_to_do: str) -> Iterator[Decoded]:
-    """Each station as it is captured; between them the operator is asked, unless the rig moves by itself."""
-    for step in range(number):
-        done = f"Station {step} of {number} is done. {what_to_do}"
-        if step and not moves_by_itself(config.required_rig) and not terminal.ready(done):
-            return
-        place = folder / CAPTURES_FOLDER / str(step + 1)
-        place.mkdir(parents=True)
-        capture = take(at_place(config.required_rig, step), config, place, terminal, f"Station {step + 1}")
-        write_matches(place / MATCHES_FILE, capture.matches)  # should a later station fail
-        if (place / TRUTH_FILE).is_file() and step == 0:
-            copy2(place / TRUTH_FILE, folder / TRUTH_FILE)
-        yield capture
 
 
 @dataclass

@@ -16,6 +16,7 @@ from scanner.results import (
     ROOM_CLOUD_FILE,
     ROOM_FILE,
     ROOM_MESH_FILE,
+    Verdict,
     finding_entries,
     pose_error_entries,
     provenance,
@@ -37,11 +38,11 @@ from scanner.rooms.verdict import verdict_on
 from scanner.ui import Progress
 
 
-def save_room(room: SolvedRoom, folder: Path, config: Config, progress: Progress) -> None:
-    """Write everything. Raises OSError, InputError if Open3D cannot be loaded."""
-    made = provenance(folder, config)
+def save_room(room: SolvedRoom, folder: Path, config: Config, progress: Progress) -> Verdict:
+    """Write everything, with the verdict, which is returned. Raises OSError, InputError if Open3D cannot be loaded."""
+    made, verdict = provenance(folder, config), verdict_on(room)
     with progress.step("Writing the stations"):
-        write_stations(folder, room.stations, room.calibration, verdict_on(room), room.uncertainty, made)
+        write_stations(folder, room.stations, room.calibration, verdict, room.uncertainty, made)
     write_room(folder / ROOM_FILE, entries_of(room))
     with progress.step("Floor plan"):
         plan = floor_plan(room)
@@ -56,6 +57,7 @@ def save_room(room: SolvedRoom, folder: Path, config: Config, progress: Progress
             write_textured(folder / ROOM_MESH_FILE, mesh, room.stations, room.calibration)
     with progress.step("Report"):
         write_page(folder / REPORT_FILE, room, plan, cloud, made)
+    return verdict
 
 
 def entries_of(room: SolvedRoom) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from scanner.configuration import Config
 from scanner.quantities import relative_focal_sigmas
 from scanner.reconstruction import lenses_of
 from scanner.results import MEASUREMENT_GRADE, Decoded
-from scanner.rooms.contents import RigStart
 from scanner.rooms.corner_rig import NO_STATION_WITH_CORNER, rig_from_corners
+from scanner.stations import RigStart
 from scanner.ui import Progress
 
 NO_PICTURES = FindingKind(

@@ -26,7 +26,7 @@ from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
 from scanner.live.joining import keep_station
 from scanner.live.rounds import best_sequence, take_rounds
 from scanner.live.watching import Account, Newest, watch
-from scanner.rooms import given_rig, read_stations
+from scanner.stations import given_rig, read_stations
 from scanner.ui import Terminal, failure_of
 from tests.scanner.live.test_clouds import DEPTHS, begun
 from tests.support.live_bench import CAMERA, PROJECTOR, LiveBench, calibration

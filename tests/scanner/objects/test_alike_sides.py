@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object
 from scanner.objects.verdict import verdict_on
-from scanner.rooms import RigStart
+from scanner.stations import RigStart
 from scanner.ui import Terminal
 from tests.support.things import ThingStation, between, config_for, decoded, thing_stations
 

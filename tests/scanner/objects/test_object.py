@@ -17,7 +17,8 @@ from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object
 from scanner.objects.surface import area_of, cloud_of, is_closed, surface_of, volume_of
 from scanner.objects.verdict import verdict_on
-from scanner.rooms import CAMERA_FROM_ROOM, RigStart, read_stations
+from scanner.rooms import CAMERA_FROM_ROOM
+from scanner.stations import RigStart, read_stations
 from scanner.ui import Terminal
 from scanner.viewing import ViewedResult
 from tests.support.things import ThingStation, between, config_for, decoded, thing_stations
@@ -165,7 +166,8 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
     from scanner.results import read_joined
 
     _, found = turned
-    surface = save_object(found, tmp_path, config_for(CAMERA), Terminal(quiet=True), fill=True)
+    surface, verdict = save_object(found, tmp_path, config_for(CAMERA), Terminal(quiet=True), fill=True)
+    assert verdict.grade == "good"
     assert surface is not None
     assert surface.closed
     assert 0.2 < surface.bridged < 0.8  # a hundred and fifty degrees of it were seen

@@ -11,7 +11,7 @@ from calib.scene import BY_SCENE, ONE_AXIS, TOO_FEW_STATIONS, calibrate_scene
 from calib.self_calibration import PrincipalPoint
 from scanner.objects.object_rig import calibrate_without_corner, rig_from_object
 from scanner.results import Decoded
-from scanner.rooms import RigStart
+from scanner.stations import RigStart
 from scanner.ui import Terminal
 from tests.support.things import PROJECTOR, config_for, decoded, thing_stations, true_rig
 

@@ -5,7 +5,7 @@ import pytest
 from scanner.capture import CaptureMetadata
 from scanner.results import Decoded, GivenMatches
 from scanner.rooms.corner_rig import corner_in, rig_of
-from scanner.rooms.document import read_stations
+from scanner.stations import read_stations
 from scanner.ui import Terminal
 from tests.scanner.rooms.conftest import SolvedExample
 from tests.support.whole_room import with_turned_projector

@@ -16,10 +16,9 @@ from scanner.configuration import Config
 from scanner.io import write_calibration, write_matches
 from scanner.results import Decoded, GivenMatches
 from scanner.rooms import live, solve
-from scanner.rooms.contents import RigStart
-from scanner.rooms.document import given_rig, read_stations
 from scanner.rooms.jobs import scan_room
 from scanner.rooms.solve import segment_capture, solve_room
+from scanner.stations import RigStart, given_rig, read_stations
 from scanner.ui import Terminal
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
 from tests.support.whole_room import PROJECTOR, TrueStation, stations, with_turned_projector
@@ -166,8 +165,8 @@ def test_live_reports_overlap_and_where_to_turn(
         station: TrueStation = true[len(list(folder.parent.iterdir())) - 1]
         return Decoded(CaptureMetadata(Size(*CAMERA), Size(*PROJECTOR)), station.matches, GivenMatches(), name)
 
-    monkeypatch.setattr(live, "take", take)
-    captures, start = live.take_stations(config, 3, tmp_path, Terminal())
+    monkeypatch.setattr("scanner.stations.take", take)
+    captures, start = live.take_room(config, 3, tmp_path, Terminal())
     assert [capture.name for capture in captures] == ["Station 1", "Station 2", "Station 3"]
     assert start.corners
     told = " ".join(capsys.readouterr().out.split())

@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.refusal import RefusalError
-from scanner.rooms.contents import RigStart, SolvedRoom
+from scanner.rooms.contents import SolvedRoom
 from scanner.rooms.solve import solve_room
+from scanner.stations import RigStart
 from scanner.ui import Terminal
 from tests.support.findings import kinds_of
 from tests.support.things import ThingStation, between, config_for, decoded, thing_stations
