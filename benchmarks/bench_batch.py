@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from scanner.batch import BatchRequest, DaskWorkers, Delivery, Job, Processes, Workers, list_jobs, run_batch, work
+from scanner.batch import BatchJob, BatchRequest, DaskWorkers, Delivery, Processes, Workers, list_jobs, run_batch, work
 from scanner.configuration import load_config
 from scanner.jobs import scan
 from scanner.ui import Terminal
@@ -87,7 +87,7 @@ def _recorded(folder: Path) -> Path:
     return folder / "room" / "capture"
 
 
-def _seconds_each_alone(jobs: tuple[Job, ...], out: Path) -> float:
+def _seconds_each_alone(jobs: tuple[BatchJob, ...], out: Path) -> float:
     work(jobs[0], Delivery(str(out / "first")))
     began_s = time.perf_counter()
     for job in jobs:
@@ -95,7 +95,7 @@ def _seconds_each_alone(jobs: tuple[Job, ...], out: Path) -> float:
     return (time.perf_counter() - began_s) / len(jobs)
 
 
-def _warm(client: Any, job: Job, out: Path, workers: int) -> None:
+def _warm(client: Any, job: BatchJob, out: Path, workers: int) -> None:
     """Make every worker load all modules."""
     client.wait_for_workers(workers)
     addresses = list(client.scheduler_info(n_workers=-1)["workers"])
@@ -107,7 +107,7 @@ def _warm(client: Any, job: Job, out: Path, workers: int) -> None:
     )
 
 
-def _rate(jobs: tuple[Job, ...], out: Path, workers: Workers) -> float:
+def _rate(jobs: tuple[BatchJob, ...], out: Path, workers: Workers) -> float:
     began_s = time.perf_counter()
     found = run_batch(jobs, str(out), lambda: workers, Terminal(quiet=True))
     seconds = time.perf_counter() - began_s

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from calib.deferred_imports import defer_imports
 
 if TYPE_CHECKING:
-    from scanner.calibration_job import calibrate as calibrate
     from scanner.configuration import Config as Config
     from scanner.configuration import load_config as load_config
     from scanner.errors import InputError as InputError
     from scanner.errors import StorageError as StorageError
+    from scanner.jobs import calibrate as calibrate
     from scanner.jobs import replay as replay
     from scanner.jobs import resume as resume
     from scanner.jobs import scan as scan
@@ -27,10 +27,9 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "225000000")
 __all__, __getattr__, __dir__ = defer_imports(
     __name__,
     {
-        "calibration_job": "calibrate",
         "configuration": "Config load_config",
         "errors": "InputError StorageError",
-        "jobs": "replay resume scan",
+        "jobs": "calibrate replay resume scan",
         "results": "FinishedScan Scan read_finished_scan",
     },
 )

@@ -19,9 +19,10 @@ from scanner.acquisition import decode_recording, noting_missing_frames, take, t
 from scanner.capture import CAPTURE_FILE, Recording, check_places, open_capture
 from scanner.configuration import Config, recorded_config
 from scanner.errors import InputError
-from scanner.io import read_calibration, refuse_other_sizes
+from scanner.io import read_calibration, refuse_other_sizes, require_memory
 from scanner.reconstruction import (
     OnCloud,
+    is_calibration,
     lenses_of,
     read_captures,
     read_masks,
@@ -29,8 +30,10 @@ from scanner.reconstruction import (
     refuse_impossible,
 )
 from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, Scan, new_result, read_uncertainty, settle, unused
+from scanner.stations import read_recording
 from scanner.ui import SILENT, Operator, Progress, Terminal
 
+_BYTES_PER_PIXEL = 50  # of the camera's image, for an organised cloud and its report
 _NOT_INCOMPLETE = re.compile(r"-incomplete(-\d+)?$")
 
 RESUMED = FindingKind(
@@ -140,6 +143,32 @@ def replay(
             if known is None:
                 return reconstruct([*earlier, decoded], settings, folder, terminal, masks=drawn)
         return reconstruct([decoded], settings, folder, terminal, given=known)
+
+
+def calibrate(
+    matches: Sequence[Path], config: Config, out: Path, *, overwrite: bool = False, terminal: Terminal = SILENT
+) -> Scan:
+    """Calibrate from matches files, results or recordings of one unchanged rig, the newest last, and reconstruct.
+
+    One of them may be a calibration from boards: the estimate is then one over both. Where they show no corner, three
+    or more calibrate by what they share. Raises InputError, RefusalError.
+    """
+    from scanner.objects import calibrate_without_corner  # slow to import, and no other job needs it
+
+    config.principal_point(config.camera_size)
+    width, height = config.camera_size
+    cloud = f"a cloud and a report for a camera of {width} × {height} pixels"
+    require_memory(_BYTES_PER_PIXEL * width * height, cloud, "give the size of the images that were matched")
+    sizes = config.camera_size, config.projector_size
+    captures = read_captures(matches, *sizes, decode=lambda path: read_recording(path, config, terminal))
+    known = tuple(path for path in matches if is_calibration(path))
+    if not captures:
+        raise InputError(f"{known[0]}: expected captures of a corner to join with this calibration, found none")
+    config = config.model_copy(update={"earlier": known})
+    refuse_impossible(config, len(captures))
+    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
+        without_corner = None if known else calibrate_without_corner
+        return reconstruct(captures, config, folder, terminal, without_corner=without_corner)
 
 
 def _read_beside(

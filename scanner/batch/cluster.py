@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 from hw.optional_parts import BATCH
-from scanner.batch.listing import Job
+from scanner.batch.listing import BatchJob
 from scanner.batch.processes import WorkerDiedError
 from scanner.batch.rows import BatchRow
 from scanner.batch.work import Delivery, Work
@@ -27,8 +27,8 @@ class DaskWorkers:
         self._client = client
 
     def results(
-        self, work: Work, jobs: Iterable[Job], delivery: Delivery
-    ) -> Iterator[tuple[Job, BatchRow | Exception]]:
+        self, work: Work, jobs: Iterable[BatchJob], delivery: Delivery
+    ) -> Iterator[tuple[BatchJob, BatchRow | Exception]]:
         """The outcome of each job, in the order in which they finish.
 
         At most one task per thread is submitted at a time. Of more, Dask would also blame the waiting ones for a
@@ -37,7 +37,7 @@ class DaskWorkers:
         from distributed import KilledWorker, as_completed
 
         waiting, run = iter(jobs), uuid4().hex
-        of_future: dict[str, Job] = {}
+        of_future: dict[str, BatchJob] = {}
         running = as_completed()
 
         def fill() -> None:

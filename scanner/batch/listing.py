@@ -22,7 +22,7 @@ _LONGEST_NAME_BYTES = 240  # common file systems have 255
 
 
 @dataclass(frozen=True)
-class Job:
+class BatchJob:
     """A capture to reconstruct with a configuration, and with a calibration (the file's text) if that is known."""
 
     name: str
@@ -45,9 +45,9 @@ class BatchRequest:
     overrides: tuple[str, ...] = ()
     calibration: str | None = None  # may be remote, as the captures
 
-    def of_any(self) -> Job:
+    def of_any(self) -> BatchJob:
         """A job without a name and a capture. Raises InputError."""
-        return Job("", "", load_config(self.config, self.overrides), self._known)
+        return BatchJob("", "", load_config(self.config, self.overrides), self._known)
 
     def refuse_no_calibration(self) -> None:
         """Raise InputError if the common calibration is invalid, instead of in every row."""
@@ -59,13 +59,13 @@ class BatchRequest:
         return None if self.calibration is None else Location(self.calibration).read().decode("utf-8", "replace")
 
 
-def list_jobs(sources: Sequence[str], asked: BatchRequest) -> tuple[Job, ...]:
+def list_jobs(sources: Sequence[str], asked: BatchRequest) -> tuple[BatchJob, ...]:
     """A job for each capture below folders, in names with * in them, or in lists (.csv), sorted by name.
 
     A list has a column `capture` and may have `name`, `config`, `calibration` and `set` (overrides, with ; between
     them); its paths are relative to it. Raises InputError if nothing is found, or a list is malformed.
     """
-    jobs: dict[str, Job] = {}
+    jobs: dict[str, BatchJob] = {}
     for source in sources:
         requests = list(
             _from_list(Location(source), asked) if source.endswith(".csv") else _from_folders(source, asked)
@@ -92,7 +92,7 @@ def _refuse_nested(names: Collection[str]) -> None:
                 )
 
 
-def _from_folders(source: str, asked: BatchRequest) -> Iterator[Job]:
+def _from_folders(source: str, asked: BatchRequest) -> Iterator[BatchJob]:
     template = asked.of_any()
     for root in Location(source).glob() if "*" in source else [Location(source)]:
         if not root.exists:
@@ -117,7 +117,7 @@ def _name(capture: str, root: str) -> str:
     return "/".join(whole[start:] or whole[-1:])
 
 
-def _from_list(file: Location, asked: BatchRequest) -> Iterator[Job]:
+def _from_list(file: Location, asked: BatchRequest) -> Iterator[BatchJob]:
     rows = csv.DictReader(io.StringIO(file.read().decode("utf-8-sig", "replace"), newline=None))
     try:
         yield from _from_rows(rows, file, asked)
@@ -125,7 +125,7 @@ def _from_list(file: Location, asked: BatchRequest) -> Iterator[Job]:
         raise InputError(f"{file.url}, line {rows.line_num + 1}: not a table of values: {error}") from error
 
 
-def _from_rows(rows: "csv.DictReader[str]", file: Location, asked: BatchRequest) -> Iterator[Job]:
+def _from_rows(rows: "csv.DictReader[str]", file: Location, asked: BatchRequest) -> Iterator[BatchJob]:
     columns = set(rows.fieldnames or ())
     if "capture" not in columns or columns - _COLUMNS:
         raise InputError(

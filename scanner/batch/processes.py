@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
-from scanner.batch.listing import Job
+from scanner.batch.listing import BatchJob
 from scanner.batch.rows import BatchRow
 from scanner.batch.work import Delivery, Work
 
@@ -33,7 +33,7 @@ class WorkerDiedError(Exception):
 class _Worker:
     process: SpawnProcess
     connection: Connection
-    job: Job | None = None
+    job: BatchJob | None = None
 
     def end(self) -> None:
         self.process.kill()
@@ -60,8 +60,8 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
         return f"{many} of {self._memory_bytes / 2**30:.1f} GiB each"
 
     def results(
-        self, work: Work, jobs: Iterable[Job], delivery: Delivery
-    ) -> Iterator[tuple[Job, BatchRow | Exception]]:
+        self, work: Work, jobs: Iterable[BatchJob], delivery: Delivery
+    ) -> Iterator[tuple[BatchJob, BatchRow | Exception]]:
         """The outcome of each job, in the order in which they finish."""
         waiting, deaths = list(jobs)[::-1], dict[str, int]()
         while waiting or any(worker.job for worker in self._workers):
@@ -83,7 +83,7 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
                     outcome = WorkerDiedError()
                 yield job, outcome
 
-    def _distribute(self, work: Work, waiting: list[Job], delivery: Delivery) -> None:
+    def _distribute(self, work: Work, waiting: list[BatchJob], delivery: Delivery) -> None:
         while len(self._workers) < min(self._count, len(waiting) + len(self._workers)):
             self._workers.append(_started())
         for worker in self._workers:

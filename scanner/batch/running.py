@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Protocol
 
-from scanner.batch.listing import Job
+from scanner.batch.listing import BatchJob
 from scanner.batch.location import Location
 from scanner.batch.page import write_page
 from scanner.batch.processes import WorkerDiedError
@@ -30,8 +30,8 @@ class Workers(Protocol):
     """Workers that run jobs in parallel."""
 
     def results(
-        self, work: Work, jobs: Iterable[Job], delivery: Delivery
-    ) -> Iterator[tuple[Job, BatchRow | Exception]]:
+        self, work: Work, jobs: Iterable[BatchJob], delivery: Delivery
+    ) -> Iterator[tuple[BatchJob, BatchRow | Exception]]:
         """What `work` made of each job, or the error that it ended with, in the order in which they are finished."""
 
 
@@ -50,7 +50,7 @@ class Batch:
         return Counter(row.exit_code for row in self.rows)
 
 
-def pending(jobs: Sequence[Job], out: Location, *, retry: bool) -> tuple[dict[str, BatchRow], list[Job]]:
+def pending(jobs: Sequence[BatchJob], out: Location, *, retry: bool) -> tuple[dict[str, BatchRow], list[BatchJob]]:
     """Rows of earlier runs for the same requests, and the jobs without a row.
 
     `retry`: crashed jobs run again. Raises InputError for an invalid row.
@@ -66,7 +66,7 @@ def pending(jobs: Sequence[Job], out: Location, *, retry: bool) -> tuple[dict[st
 
 
 def run_batch(
-    jobs: Sequence[Job],
+    jobs: Sequence[BatchJob],
     out: str,
     workers: Callable[[], Workers] | None,
     progress: Progress,
@@ -114,7 +114,7 @@ def _claim(lock: Path) -> Claim:
 
 
 def _run(
-    jobs: Sequence[Job], out: str, workers: Callable[[], Workers] | None, progress: Progress, *, retry: bool
+    jobs: Sequence[BatchJob], out: str, workers: Callable[[], Workers] | None, progress: Progress, *, retry: bool
 ) -> Batch:
     """`run_batch`, alone in its folder."""
     began_s = time.monotonic()
@@ -134,7 +134,7 @@ def _run(
     return Batch(ordered, kept, time.monotonic() - began_s, tuple(tables))
 
 
-def _worked(jobs: Sequence[Job], delivery: Delivery, workers: Workers) -> Iterator[BatchRow]:
+def _worked(jobs: Sequence[BatchJob], delivery: Delivery, workers: Workers) -> Iterator[BatchRow]:
     """Rows in the order of completion."""
     for job, outcome in workers.results(work, jobs, delivery):
         if isinstance(outcome, BatchRow):
@@ -146,7 +146,7 @@ def _worked(jobs: Sequence[Job], delivery: Delivery, workers: Workers) -> Iterat
             yield _crashed(job, delivery, outcome)
 
 
-def _crashed(job: Job, delivery: Delivery, error: Exception) -> BatchRow:
+def _crashed(job: BatchJob, delivery: Delivery, error: Exception) -> BatchRow:
     reason = str(error) if isinstance(error, WorkerDiedError) else f"{type(error).__name__}: {error}"
     log.warning("%s: %s", job.name, reason)
     url = delivery.result(job.name).url

@@ -13,7 +13,7 @@ import cv2
 from calib.geometry import Calibration
 from calib.numerics import use_processors
 from scanner import jobs
-from scanner.batch.listing import Job
+from scanner.batch.listing import BatchJob
 from scanner.batch.location import Location
 from scanner.batch.rows import ENDING, BatchRow
 from scanner.capture import open_capture
@@ -46,10 +46,10 @@ class Delivery:
         return Location(self.out) / THUMBNAILS / f"{name}.jpg"
 
 
-Work = Callable[[Job, Delivery], BatchRow]
+Work = Callable[[BatchJob, Delivery], BatchRow]
 
 
-def work(job: Job, delivery: Delivery) -> BatchRow:
+def work(job: BatchJob, delivery: Delivery) -> BatchRow:
     """Reconstruct a capture and deliver the result, the row last. Every capture gets a row.
 
     Raises StorageError, OSError if nothing can be delivered, because that is no property of the capture.
@@ -68,7 +68,7 @@ def work(job: Job, delivery: Delivery) -> BatchRow:
     return row
 
 
-def _reconstruct(job: Job, delivery: Delivery) -> BatchRow:
+def _reconstruct(job: BatchJob, delivery: Delivery) -> BatchRow:
     place = delivery.result(job.name)
     row = BatchRow(job.name, job.capture, place.url, 0)
     try:
@@ -89,7 +89,7 @@ def _reconstruct(job: Job, delivery: Delivery) -> BatchRow:
         return replace(row, exit_code=failure.exit_code, reason=row.reason or failure.message)
 
 
-def _replay(job: Job, capture: Path, out: Path) -> Scan:
+def _replay(job: BatchJob, capture: Path, out: Path) -> Scan:
     with TemporaryDirectory(prefix="roomscan-") as scratch:
         known = None
         if job.calibration is not None:

@@ -13,12 +13,11 @@ from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR, SHARED, KnownRig
 from calib.refusal import RefusalError
 from calib.scene import LineTest, compare_with_lines
-from scanner.calibration_job import calibrate
 from scanner.comparing import CalibrationComparison, compare_files, comparison_verdict
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
-from scanner.jobs import scan
+from scanner.jobs import calibrate, scan
 from scanner.reconstruction import read_captures
 from scanner.results import Scan, Verdict, calibration_file, read_uncertainty
 from scanner.rooms import state_of

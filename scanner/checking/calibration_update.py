@@ -15,11 +15,11 @@ from calib.refinement import KnownRig, inverse_of
 from calib.refusal import RefusalError
 from calib.scene import compare_with_lines
 from calib.self_calibration import KnownCalibration
-from scanner.calibration_job import calibrate
 from scanner.checking.calibration_check import LINE_MATCHES, CalibrationCheck
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, new_files, write_calibration
+from scanner.jobs import calibrate
 from scanner.results import (
     KINDS,
     SelfCalibrated,

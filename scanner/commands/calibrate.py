@@ -2,9 +2,9 @@
 
 from argparse import Namespace
 
-from scanner.calibration_job import calibrate
 from scanner.commands.outcome import show_outcome
 from scanner.configuration import load_config
+from scanner.jobs import calibrate
 from scanner.ui import Terminal
 
 

@@ -50,13 +50,13 @@ def log(folder: Path) -> Run:
 
 def row(folder: Path) -> Run:
     """A row of an earlier run of a batch, and its table."""
-    from scanner.batch import BatchRow, Job, run_batch
+    from scanner.batch import BatchJob, BatchRow, run_batch
     from scanner.configuration import Config
     from scanner.ui import Terminal
 
     path, terminal = folder / "rows" / "a.json", Terminal(quiet=True)
     path.parent.mkdir()
-    job = Job("a", "somewhere", Config(), None)
+    job = BatchJob("a", "somewhere", Config(), None)
     whole = asdict(BatchRow("a", "somewhere", "there", 0, "good", "Well", None, 9, 8, 0.1, 300.0, 1.0, asked=job.asked))
     names = [field.name for field in fields(BatchRow)]
     odd: tuple[Any, ...] = (

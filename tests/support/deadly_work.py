@@ -4,12 +4,12 @@ import os
 import signal
 from pathlib import Path
 
-from scanner.batch import BatchRow, Delivery, Job, work
+from scanner.batch import BatchJob, BatchRow, Delivery, work
 
 POISON, ONCE = "poison", "once"
 
 
-def deadly_work(job: Job, delivery: Delivery) -> BatchRow:
+def deadly_work(job: BatchJob, delivery: Delivery) -> BatchRow:
     """`work`, except that a capture named 'poison' always kills the process, and one named 'once' the first time."""
     mark = Path(delivery.out) / "died"
     if POISON in job.name or (ONCE in job.name and not mark.exists()):

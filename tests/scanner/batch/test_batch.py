@@ -16,7 +16,7 @@ import pytest
 from hw.optional_parts import BATCH
 from scanner.batch import running as running_module
 from scanner.batch.cluster import dask_workers
-from scanner.batch.listing import BatchRequest, Job, list_jobs
+from scanner.batch.listing import BatchJob, BatchRequest, list_jobs
 from scanner.batch.processes import Processes
 from scanner.batch.rows import BatchRow
 from scanner.batch.running import CSV, PAGE, TABLE, run_batch
@@ -142,7 +142,7 @@ class Reentering:
         self._command = command
         self.ended: subprocess.CompletedProcess[str] | None = None
 
-    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, BatchRow]]:
+    def results(self, work: Work, jobs: Iterable[BatchJob], delivery: Delivery) -> Iterator[tuple[BatchJob, BatchRow]]:
         command = [sys.executable, "-m", "scanner", *self._command]
         self.ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
         for job in jobs:
