@@ -26,7 +26,7 @@ from hw.loopback.settings import Conditions, LoopbackSettings, WebcamSettings
 from hw.opencv import OpenCVRigSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import place_room, true_calibration
-from scanner.commands.arguments import NAMED
+from scanner.commands import NAMED
 from scanner.configuration import Config, load_config
 from scanner.io import read_calibration, write_calibration
 from scanner.quantities import truth_line

@@ -1,7 +1,6 @@
-"""The commands: their arguments are in arguments.py, and each has a module with `run(args)`.
+"""The commands: dataclasses of their options, in options_of_*.py; the work of each is in the module of its name.
 
 `scan` alone is the main job; the others are named by the first argument.
 """
 
-from scanner.commands.arguments import NAMED
-from scanner.commands.main import choose_command, main, parser_of
+from scanner.commands.main import NAMED, choose_command, main, parser_of

@@ -1,8 +1,8 @@
 """Test the scanner with a calibrated ball bar."""
 
-from argparse import Namespace
 from pathlib import Path
 
+from scanner.commands.options_of_results import AcceptCommand
 from scanner.errors import InputError
 from scanner.io import new_files, refuse_existing
 from scanner.measuring import (
@@ -22,7 +22,7 @@ from scanner.results import path_beside, read_finished_scan
 from scanner.ui import Terminal
 
 
-def run(args: Namespace) -> None:
+def run(args: AcceptCommand) -> None:
     """Do the work. Raises InputError, NoMeasurementError."""
     terminal = Terminal(quiet=args.quiet)
     out = args.out or path_beside(args.results[0], "-accepted")

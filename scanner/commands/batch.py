@@ -1,11 +1,11 @@
 """Reconstruct many captures in parallel, and summarise them in one table."""
 
 import re
-from argparse import Namespace
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from scanner.commands.shared_arguments import is_enough
+from scanner.commands.command import is_enough
+from scanner.commands.options_of_scans import BatchCommand
 from scanner.errors import GradeError, InputError
 from scanner.shown_text import harmless, shown
 from scanner.ui import Terminal
@@ -19,7 +19,7 @@ _LEAST_BYTES = 400_000_000
 _NAMED = 5  # captures that a message names
 
 
-def run(args: Namespace) -> None:
+def run(args: BatchCommand) -> None:
     """Do the work. Raises InputError, GradeError."""
     from scanner.batch import Batch, BatchRequest, Processes, dask_workers, list_jobs, refuse_without_dask, run_batch
 
@@ -33,7 +33,7 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     if harmless(args.out) != args.out:
         raise InputError(f"--out: expected a name of printable UTF-8 characters, found {shown(args.out)}")
-    asked = BatchRequest(args.config, tuple(args.set), args.calibration)
+    asked = BatchRequest(args.settings.config, tuple(args.settings.set), args.calibration)
     asked.refuse_no_calibration()
     with terminal.step("Looking for captures"):
         jobs = list_jobs(args.sources, asked)

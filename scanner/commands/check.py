@@ -1,7 +1,6 @@
 """Check the rig before a scan, and write the findings into the configuration on request."""
 
 import sys
-from argparse import Namespace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,9 +16,10 @@ from scanner.checking import (
     update_calibration,
     write_check,
 )
-from scanner.commands.shared_arguments import is_enough
+from scanner.commands.command import is_enough
+from scanner.commands.options_of_rigs import CheckCommand
 from scanner.comparing import table
-from scanner.configuration import load_config, set_keys
+from scanner.configuration import set_keys
 from scanner.errors import GradeError, InputError
 from scanner.results import refuse_occupied
 from scanner.ui import EXIT_DIFFERENT, Terminal, keep_off_the_terminal
@@ -28,15 +28,15 @@ from scanner.ui import EXIT_DIFFERENT, Terminal, keep_off_the_terminal
 _EXPOSURE_DIGITS, _LIGHT_DIGITS = 1, 5
 
 
-def run(args: Namespace) -> int:
+def run(args: CheckCommand) -> int:
     """Do the work; returns the exit code. Raises InputError, DeviceError, RefusalError, GradeError."""
     if args.captures or args.calibration:
         return _check_calibration(args)
     if args.update:
         raise InputError("--update is of a check with --calibration FILE")
-    if args.config is None:
+    if args.settings.config is None:
         raise InputError("scan check needs --config FILE, or captures and --calibration FILE")
-    config = load_config(args.config, args.set)
+    config = args.settings.load()
     terminal = Terminal(quiet=args.quiet)
     keep_off_the_terminal()
     config.principal_point(config.camera_size)
@@ -48,7 +48,7 @@ def run(args: Namespace) -> int:
         write_check(args.out, report)
         terminal.show(f"Written: {args.out}")
     if args.write:
-        terminal.show(_write(args.config, report))
+        terminal.show(_write(args.settings.config, report))
     if report.failure:
         raise report.failure
     poor = sum(row.state is CheckState.POOR for row in report.rows)
@@ -56,13 +56,13 @@ def run(args: Namespace) -> int:
         things = "1 thing" if poor == 1 else f"{poor} things"
         raise GradeError(f"{things} could be better, and --require {args.require} asks for none; the table names them")
     better = f"{poor} {'thing' if poor == 1 else 'things'} could be better; to scan anyway: " if poor else ""
-    terminal.show(f"→ {better}scan --config {args.config}")
+    terminal.show(f"→ {better}scan --config {args.settings.config}")
     return 0
 
 
-def _check_calibration(args: Namespace) -> int:
+def _check_calibration(args: CheckCommand) -> int:
     """Judge a calibration by captures, or by one that is taken. Raises InputError, DeviceError."""
-    if args.calibration is None or not (args.captures or args.config):
+    if args.calibration is None or not (args.captures or args.settings.config):
         raise InputError(
             "a calibration is checked by captures, or by a rig that takes one: scan check CAPTURE… --calibration FILE, "
             "or scan check --config FILE --calibration FILE"
@@ -72,7 +72,7 @@ def _check_calibration(args: Namespace) -> int:
     if args.update:
         refuse_no_update(args.calibration)
     terminal = Terminal(quiet=args.quiet)
-    config = load_config(args.config, args.set) if args.config else config_of(args.calibration, args.set)
+    config = args.settings.load() if args.settings.config else config_of(args.calibration, args.settings.set)
     with TemporaryDirectory(prefix="scan-check-") as temporary:
         out = args.out or Path(temporary) / "check"
         captures = args.captures or [take_capture(config, Path(temporary) / "capture", terminal)]

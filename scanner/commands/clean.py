@@ -1,8 +1,7 @@
 """Do named steps to a result's cloud: a box, cleaning, fewer triangles, other axes. They can be undone."""
 
-from argparse import Namespace
-
 from scanner.cleaning import OF_MESH, CleanedResult, read_cleaned
+from scanner.commands.options_of_results import CleanCommand
 from scanner.configuration import MOST_STEPS, CloudStep
 from scanner.errors import InputError
 from scanner.exporting import mesh_of_result
@@ -12,7 +11,7 @@ from scanner.results import STEPS_FILE, read_steps, write_steps
 from scanner.ui import Terminal
 
 
-def run(args: Namespace) -> None:
+def run(args: CleanCommand) -> None:
     """Do the work. Raises InputError, StorageError."""
     terminal = Terminal(quiet=args.quiet)
     earlier = read_steps(args.result)

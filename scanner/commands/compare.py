@@ -1,7 +1,6 @@
 """Compare two calibrations of one rig: where in the picture they differ, and whether their sigmas allow it."""
 
-from argparse import Namespace
-
+from scanner.commands.options_of_results import CompareCommand
 from scanner.comparing import (
     COMPARE_FILE,
     COMPARE_PAGE,
@@ -17,7 +16,7 @@ from scanner.shown_text import shown
 from scanner.ui import EXIT_DIFFERENT, Terminal
 
 
-def run(args: Namespace) -> int:
+def run(args: CompareCommand) -> int:
     """Do the work; returns the exit code. Raises InputError."""
     terminal = Terminal(quiet=args.quiet)
     if args.out:

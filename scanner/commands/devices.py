@@ -1,6 +1,5 @@
 """List cameras and screens, with the lines to paste into a configuration."""
 
-from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -9,6 +8,7 @@ from hw.backends import BACKENDS, Backend
 from hw.cameras import CameraInfo
 from hw.errors import DeviceError
 from hw.projector import Screen, list_screens
+from scanner.commands.options_of_rigs import DevicesCommand
 from scanner.ui import Terminal
 
 _ADDRESSES = "network streams cannot be listed: rig: {backend: opencv, camera: http://…} takes an address"
@@ -37,7 +37,7 @@ class Found:
             yield "\n  ".join([heading, *(described or ["none found"])])
 
 
-def run(args: Namespace) -> None:
+def run(args: DevicesCommand) -> None:
     """List the devices. Raises DeviceError if no camera was found, and screens cannot be listed."""
     terminal = Terminal(quiet=args.quiet)
     devices = find_devices(terminal)

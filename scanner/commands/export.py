@@ -1,8 +1,8 @@
 """Write a result in another program's format and conventions."""
 
 import math
-from argparse import Namespace
 
+from scanner.commands.options_of_results import ExportCommand
 from scanner.errors import InputError
 from scanner.exporting import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS, ExportRequest
 from scanner.results import path_beside
@@ -11,7 +11,7 @@ from scanner.ui import Terminal
 _LEAST_GAMMA, _MOST_GAMMA = 0.1, 10.0
 
 
-def run(args: Namespace) -> None:
+def run(args: ExportCommand) -> None:
     """Do the work. Raises InputError."""
     target = FORMATS[args.to]
     if args.points is not None and args.to != "colmap":

@@ -1,7 +1,6 @@
 """Make a capture folder of frames that another program took: their order is recognised, and checked by decoding."""
 
 import re
-from argparse import Namespace
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,6 +14,7 @@ from rich.table import Table
 from calib.geometry import SQUARE_PIXELS, PixelGrid
 from scanner.capture import CAPTURE_FILE, capture_above, open_capture
 from scanner.commands import import_recording
+from scanner.commands.options_of_rigs import ImportCommand
 from scanner.decoding import describe_copies
 from scanner.errors import InputError
 from scanner.importing import (
@@ -44,7 +44,7 @@ _RATIOS = 0.2, 5.0  # of the sides of pixels
 _MOST_PERIODS, _MOST_TO_A_PICTURE = 8, 1000
 
 
-def run(args: Namespace) -> None:
+def run(args: ImportCommand) -> None:
     """Do the work. Raises InputError."""
     if args.sequence is not None or args.folder.is_file():
         import_recording.run(args)
@@ -55,7 +55,7 @@ def run(args: Namespace) -> None:
     cell = _number(args.cell, "--cell", "a number of pixels", _MOST_CELL_PX)
     given = Given(_size(args.projector), cell, periods=_periods(args.periods))
     every = (*LAYOUTS, *fringe_layouts(given.periods))
-    name = getattr(args, "from")  # a word of Python's
+    name = args.format
     layouts = every if name is None else (_named(every, name),)
     terminal = Terminal(quiet=args.quiet)
     output = OutputFolder(args.out) if args.out else None
@@ -93,11 +93,12 @@ def run(args: Namespace) -> None:
     with output:
         write_capture(output.folder, chosen, look().camera_size, args.flip, grid or SQUARE_PIXELS)
     terminal.show(
-        f"{len(chosen.files)} frames and capture.yaml are in {args.out}", f"→ scan replay {args.out} reconstructs it."
+        f"{len(chosen.files)} frames and capture.yaml are in {args.out}",
+        f"→ scan replay {args.out} reconstructs it.",
     )
 
 
-def _copy_own(capture: Path, args: Namespace) -> None:
+def _copy_own(capture: Path, args: ImportCommand) -> None:
     """Frames of a capture of this program's, whose `capture.yaml` says what they show."""
     given = import_recording.given_of_frames(args)
     listing = capture / CAPTURE_FILE

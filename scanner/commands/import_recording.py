@@ -1,21 +1,21 @@
 """Make a capture folder of a film of the sequence's video."""
 
-from argparse import Namespace
-
+from scanner.commands.options_of_rigs import ImportCommand
 from scanner.errors import InputError
 from scanner.recordings import exposure_text, import_recording, read_programme
 from scanner.results import OutputFolder
 from scanner.ui import Terminal
 
-_OF_FRAMES = ("from", "projector", "cell", "periods", "frames", "order", "flip", "pixel_aspect")
+_OF_FRAMES = ("projector", "cell", "periods", "frames", "order", "flip", "pixel_aspect")
 
 
-def given_of_frames(args: Namespace) -> list[str]:
-    """The given options that say what frames of unknown order show."""
-    return [f"--{option.replace('_', '-')}" for option in _OF_FRAMES if getattr(args, option) is not None]
+def given_of_frames(args: ImportCommand) -> list[str]:
+    """The given args that say what frames of unknown order show."""
+    given = ["--from"] if args.format is not None else []
+    return given + [f"--{name.replace('_', '-')}" for name in _OF_FRAMES if getattr(args, name) is not None]
 
 
-def run(args: Namespace) -> None:
+def run(args: ImportCommand) -> None:
     """Do the work. Raises InputError."""
     given = given_of_frames(args)
     if given:

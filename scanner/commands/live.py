@@ -2,7 +2,6 @@
 
 import sys
 import time
-from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +9,7 @@ from threading import Thread
 
 from calib.geometry import Calibration
 from hw.rig import Rig
-from scanner.configuration import load_config
+from scanner.commands.options_of_rigs import LiveCommand
 from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.live import (
@@ -33,11 +32,11 @@ from scanner.viewing import require_viser
 _EVERY_S = 2.0
 
 
-def run(args: Namespace) -> None:
+def run(args: LiveCommand) -> None:
     """Do the work. Raises InputError, DeviceError, RefusalError, KeyboardInterrupt."""
-    config = load_config(args.config, args.set)
+    config = args.settings.load()
     terminal = Terminal(quiet=args.quiet)
-    out = args.out or default_out(f"{args.config.stem}-live", overwrite=args.overwrite)
+    out = args.out or default_out(f"{args.settings.file.stem}-live", overwrite=args.overwrite)
     unit = read_calibration(args.calibration).unit
     wishes = Wishes(args.clouds, _seconds(args.every), args.room)
     if terminal.can_ask and not args.quiet:
@@ -60,7 +59,7 @@ def run(args: Namespace) -> None:
 
 
 @contextmanager
-def _page(args: Namespace, terminal: Terminal) -> Iterator[Watcher]:
+def _page(args: LiveCommand, terminal: Terminal) -> Iterator[Watcher]:
     """The page that looks, if one is wanted. Raises InputError if it cannot be had."""
     if not args.page:
         yield Watcher()
@@ -69,11 +68,11 @@ def _page(args: Namespace, terminal: Terminal) -> Iterator[Watcher]:
     from scanner.console import LiveView  # viser is an extra
     from scanner.viewing import CloudScene, add_style, announce_page, serving
 
-    with serving(f"Live: {args.config.stem}", args.host, args.port) as served:
+    with serving(f"Live: {args.settings.file.stem}", args.address.host, args.address.port) as served:
         served.server.gui.main_panel.dock_left()
         add_style(served.server.gui, panel_left=True)
         view = LiveView(served.server.gui, CloudScene(served.server))
-        announce_page(served.address, args.host, terminal, browser=not args.no_browser)
+        announce_page(served.address, args.address.host, terminal, browser=not args.address.no_browser)
         yield view
 
 
@@ -107,9 +106,9 @@ def _keep_on_enter(wishes: Wishes) -> None:
         wishes.now.set()
 
 
-def _show(result: LiveResult, out: Path, args: Namespace, terminal: Terminal) -> None:
+def _show(result: LiveResult, out: Path, args: LiveCommand, terminal: Terminal) -> None:
     terminal.show(account_text(result.account))
-    terminal.show(*result_texts(len(result.kept), out, args.config, args.calibration, of_room=args.room))
+    terminal.show(*result_texts(len(result.kept), out, args.settings.file, args.calibration, of_room=args.room))
 
 
 def _seconds(text: str | None) -> float | None:

@@ -9,7 +9,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import NoReturn
 
-from scanner.commands.arguments import MAIN, NAMED
+from scanner.commands import options_of_results, options_of_rigs, options_of_scans
 from scanner.commands.command import Command
 from scanner.errors import InputError
 from scanner.interruption import finishing, handlers_restored, interrupt, on_ending
@@ -21,8 +21,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Likewise before OpenCV is imported: its messages would hide ours.
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
 
+_DECLARED = (
+    Command.declared_in(options_of_scans)
+    | Command.declared_in(options_of_results)
+    | Command.declared_in(options_of_rigs)
+)
+# In this order in the help.
+_NAMES = (
+    "replay calibrate batch patterns new devices check clean export measure section accept view console photos board "
+    "room network object live compare import"
+)
+NAMED = {name: _DECLARED[name] for name in _NAMES.split()}
+
 _OTHER_COMMANDS = "other commands:\n" + "\n".join(
-    f"  scan {name:<10} {command.about}" for name, command in NAMED.items()
+    f"  scan {name:<10} {command.about()}" for name, command in NAMED.items()
 )
 
 # What the smallest scan takes on two cores; memory in use is a fifth of it.
@@ -42,11 +54,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             name, rest = choose_command(given)
             args = parser_of(name).parse_args(rest)
+            options = _command(name).of(args)
             _require_address_space()
-            run = _command(name).load()
+            options.module()
             on_ending(interrupt)
             _announce_compiling(quiet=getattr(args, "quiet", False))
-            exit_code = run(args)
+            exit_code = options.run()
         except (Exception, KeyboardInterrupt) as error:
             with finishing(ending=True):
                 return _reported(error)
@@ -84,13 +97,13 @@ def parser_of(name: str) -> ArgumentParser:
     command = _command(name)
     parser = _Parser(
         prog=f"scan {name}".rstrip(),
-        description=f"{command.about}\n{command.more}",
+        description=f"{command.about()}\n{command.more}",
         epilog=None if name else _OTHER_COMMANDS,
         formatter_class=RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
-    command.add_arguments(parser)
+    command.declare(parser)
     return parser
 
 
@@ -107,8 +120,8 @@ class _Version(Action):
         parser.exit()
 
 
-def _command(name: str) -> Command:
-    return NAMED[name] if name else MAIN
+def _command(name: str) -> type[Command]:
+    return NAMED[name] if name else options_of_scans.ScanCommand
 
 
 def _on_unknown(first: str) -> str:

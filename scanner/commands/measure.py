@@ -1,9 +1,9 @@
 """Measure in a result: balls, faces, distances."""
 
-from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
+from scanner.commands.options_of_results import MeasureCommand
 from scanner.errors import InputError
 from scanner.io import new_files, refuse_existing
 from scanner.measuring import (
@@ -31,7 +31,7 @@ _ASSUMED_ANGLES = (
 )
 
 
-def run(args: Namespace) -> None:
+def run(args: MeasureCommand) -> None:
     """Do the work. Raises InputError, NoMeasurementError."""
     terminal = Terminal(quiet=args.quiet)
     out = args.out or path_beside(args.result, "-measured")
@@ -75,7 +75,7 @@ def run(args: Namespace) -> None:
         terminal.show(f"→ scan view {args.result} measures between points that are clicked on.")
 
 
-def _measure_network(args: Namespace, out: Path, terminal: Terminal) -> None:
+def _measure_network(args: MeasureCommand, out: Path, terminal: Terminal) -> None:
     """Distances between pixels of any pairs of a network. Raises InputError."""
     if args.sphere or args.capture is not None:
         raise InputError("--sphere and --capture are for rigs; a network measures --distance between its pairs' pixels")

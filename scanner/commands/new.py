@@ -1,13 +1,13 @@
 """Write a configuration that explains itself, with the devices that are found filled in."""
 
 import re
-from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from hw.backends import BACKENDS
 from scanner.commands.devices import find_devices
+from scanner.commands.options_of_rigs import NewCommand
 from scanner.commands.rigs import RIGS
 from scanner.configuration import check_text, example, with_key
 from scanner.errors import InputError
@@ -16,7 +16,7 @@ from scanner.results import default_out
 from scanner.ui import Terminal
 
 
-def run(args: Namespace) -> None:
+def run(args: NewCommand) -> None:
     """Do the work. Raises InputError."""
     rig, path, terminal = RIGS[args.rig], args.file, Terminal(quiet=args.quiet)
     if path.suffix not in (".yaml", ".yml"):

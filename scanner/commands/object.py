@@ -1,26 +1,23 @@
 """Put stations of one rig before a thing together to one surface; they exist already, or are captured first."""
 
-from argparse import Namespace
-
+from scanner.commands.options_of_scans import ObjectCommand
 from scanner.commands.outcome import conclude
-from scanner.configuration import load_config
 from scanner.objects import scan_object, verdict_on
 from scanner.quantities import shown_unit
-from scanner.results import default_out
 from scanner.ui import Terminal
 
 
-def run(args: Namespace) -> None:
+def run(args: ObjectCommand) -> None:
     """Do the work. Raises InputError, DeviceError, RefusalError, GradeError."""
-    terminal, config = Terminal(quiet=args.quiet), load_config(args.config, args.set)
-    out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
+    terminal, config = Terminal(quiet=args.output.quiet), args.settings.load()
+    out = args.output.place(args.settings.file.stem)
     solved, surface = scan_object(
         config,
         out,
         calibration=args.calibration,
         stations=args.stations,
         fill=args.fill,
-        overwrite=args.overwrite,
+        overwrite=args.output.overwrite,
         terminal=terminal,
     )
     unit = shown_unit(solved.unit)
@@ -28,4 +25,4 @@ def run(args: Namespace) -> None:
         volume, sigma = (number * unit.factor**3 for number in surface.volume)
         terminal.show(f"Volume: {volume:.6g} ± {sigma:.2g} {unit.name}³")
     terminal.show(f"Result: {out} (report.html, object.ply, object.glb, object.yaml)")
-    conclude(verdict_on(solved), f"scan view {out} shows it.", terminal, args.require)
+    conclude(verdict_on(solved), f"scan view {out} shows it.", terminal, args.output.require)

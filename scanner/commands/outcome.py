@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from scanner.commands.shared_arguments import is_enough
+from scanner.commands.command import is_enough
 from scanner.errors import GradeError
 from scanner.quantities import calibration_table, truth_line
 from scanner.results import (

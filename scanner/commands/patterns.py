@@ -3,10 +3,10 @@
 With --video they are a film as well, to be shown by any player and filmed by any camera.
 """
 
-from argparse import Namespace
 from pathlib import Path
 
-from scanner.configuration import Config, load_config
+from scanner.commands.options_of_rigs import PatternsCommand
+from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.patterns import SEQUENCE_FILE, Pattern, write_sequence
 from scanner.quantities import parse_seconds
@@ -17,19 +17,19 @@ from scanner.ui import Terminal
 _HOLD_S, _LOOPS = 0.2, 1
 
 
-def run(args: Namespace) -> None:
+def run(args: PatternsCommand) -> None:
     """Do the work. Raises InputError."""
-    config = load_config(args.config, args.set)
+    config = args.settings.load()
     patterns = config.sequence.patterns(config.projector_size)
     programme = _programme(args, patterns, config)
     terminal = Terminal(quiet=args.quiet)
     with OutputFolder(args.out) as output:
         with terminal.step("Drawing the patterns"):
-            more = {"video": programme.as_dict(args.video)} if programme else {}
+            more = {"video": programme.as_dict(str(args.video))} if programme else {}
             write_sequence(output.folder, patterns, config.projector_size, config.projector.grid, **more)
         if programme:
             with terminal.step("Writing the video"):
-                write_player_video(output.folder / args.video, programme)
+                write_player_video(output.folder / str(args.video), programme)
     width, height = config.projector.grid.device_size(config.projector_size)
     terminal.show(f"{len(patterns)} patterns of {width} × {height} pixels, and sequence.yaml, are in {args.out}")
     if programme:
@@ -45,7 +45,7 @@ def run(args: Namespace) -> None:
     )
 
 
-def _programme(args: Namespace, patterns: tuple[Pattern, ...], config: Config) -> Programme | None:
+def _programme(args: PatternsCommand, patterns: tuple[Pattern, ...], config: Config) -> Programme | None:
     if args.video is None:
         if args.hold is not None or args.loops is not None:
             raise InputError("--hold and --loops are for a video: give --video as well, as in --video sequence.mp4")

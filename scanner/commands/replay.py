@@ -1,31 +1,30 @@
 """Reconstruct from a recorded capture, also of another program."""
 
-from argparse import Namespace
 from pathlib import Path
 
 from scanner import jobs
 from scanner.capture import CAPTURE_FILE
+from scanner.commands.options_of_scans import ReplayCommand
 from scanner.commands.outcome import show_outcome
-from scanner.configuration import load_config
 from scanner.io import given_path
-from scanner.results import CAPTURE_FOLDER, default_out
+from scanner.results import CAPTURE_FOLDER
 from scanner.ui import Terminal
 
 
-def run(args: Namespace) -> None:
+def run(args: ReplayCommand) -> None:
     """Do the work. Raises InputError, RefusalError."""
-    terminal = Terminal(quiet=args.quiet)
-    out = args.out or default_out(_name(args.capture), overwrite=args.overwrite)
+    terminal = Terminal(quiet=args.output.quiet)
+    out = args.output.place(_name(args.capture))
     result = jobs.replay(
         args.capture,
         out,
-        config=load_config(args.config, args.set),
+        config=args.settings.load(),
         calibration=args.calibration,
         masks=args.masks,
-        overwrite=args.overwrite,
+        overwrite=args.output.overwrite,
         terminal=terminal,
     )
-    show_outcome(result, out, terminal, args.require)
+    show_outcome(result, out, terminal, args.output.require)
 
 
 def _name(capture: Path) -> str:

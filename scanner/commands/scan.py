@@ -1,56 +1,60 @@
 """Scan with the configured rig: capture, calibrate, reconstruct; or take up a scan that was broken off."""
 
-from argparse import Namespace
+from pathlib import Path
 
 from scanner import jobs
-from scanner.commands.arguments import NAMED
+from scanner.commands.options_of_scans import ObjectCommand, RoomCommand, ScanCommand
 from scanner.commands.outcome import show_outcome
-from scanner.configuration import load_config
 from scanner.errors import InputError
-from scanner.results import default_out
 from scanner.ui import Terminal
 
 
-def run(args: Namespace) -> None:
+def run(args: ScanCommand) -> None:
     """Do the work. Raises InputError, DeviceError, RefusalError."""
     if args.resume:
-        _resume(args)
+        _resume(args.resume, args)
     elif args.object or args.fill or args.calibration:
         if not args.object or args.stations is None or args.captures != 1 or args.masks:
             raise InputError(
                 "a thing is scanned with --object --stations N [--calibration FILE], without --captures and --masks"
             )
-        NAMED["object"].load()(args)
+        ObjectCommand(
+            stations=args.stations,
+            settings=args.settings,
+            calibration=args.calibration,
+            fill=args.fill,
+            output=args.output,
+        ).run()
     elif args.stations is not None:
         if args.captures != 1 or args.masks:
             raise InputError(
                 "--stations scans a whole room; --captures and --masks are for one corner: give one of them"
             )
-        NAMED["room"].load()(args)
+        RoomCommand(stations=args.stations, settings=args.settings, output=args.output).run()
     else:
         _scan(args)
 
 
-def _scan(args: Namespace) -> None:
-    terminal, config = Terminal(quiet=args.quiet), load_config(args.config, args.set)
-    out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
+def _scan(args: ScanCommand) -> None:
+    terminal, config = Terminal(quiet=args.output.quiet), args.settings.load()
+    out = args.output.place(args.settings.file.stem)
     result = jobs.scan(
-        config, out, captures=args.captures, masks=args.masks, overwrite=args.overwrite, terminal=terminal
+        config, out, captures=args.captures, masks=args.masks, overwrite=args.output.overwrite, terminal=terminal
     )
-    show_outcome(result, out, terminal, args.require)
+    show_outcome(result, out, terminal, args.output.require)
 
 
-def _resume(args: Namespace) -> None:
+def _resume(folder: Path, args: ScanCommand) -> None:
     if args.captures != 1:
         raise InputError("--resume completes one capture, and --captures takes several: give one of them")
-    terminal, config = Terminal(quiet=args.quiet), load_config(args.config, args.set) if args.config else None
+    terminal, config = Terminal(quiet=args.output.quiet), args.settings.load() if args.settings.config else None
     result, out = jobs.resume(
-        args.resume,
-        args.out,
+        folder,
+        args.output.out,
         config=config,
-        overrides=args.set,
+        overrides=args.settings.set,
         masks=args.masks,
-        overwrite=args.overwrite,
+        overwrite=args.output.overwrite,
         terminal=terminal,
     )
-    show_outcome(result, out, terminal, args.require)
+    show_outcome(result, out, terminal, args.output.require)

@@ -1,9 +1,8 @@
 """Cut the surface of a result by planes: contours with their lengths."""
 
-from argparse import Namespace
-
 from calib.diagnostics import SystematicErrors
 from scanner.cleaning import CleanedResult, read_cleaned
+from scanner.commands.options_of_results import SectionCommand
 from scanner.errors import InputError
 from scanner.io import new_files, refuse_existing
 from scanner.measuring import (
@@ -23,7 +22,7 @@ from scanner.ui import Terminal
 _SHOWN = 20
 
 
-def run(args: Namespace) -> None:
+def run(args: SectionCommand) -> None:
     """Do the work. Raises InputError, StorageError."""
     terminal = Terminal(quiet=args.quiet)
     out = args.out or path_beside(args.result, "-section")
@@ -42,7 +41,7 @@ def run(args: Namespace) -> None:
     terminal.show(f"Written: {out} ({', '.join(SECTION_FILES)})", "→ CAD programs read the DXF, browsers the SVG.")
 
 
-def _errors(args: Namespace, result: CleanedResult) -> SystematicErrors | None:
+def _errors(args: SectionCommand, result: CleanedResult) -> SystematicErrors | None:
     """Of the rig, as the result's measurements have them; None of a network."""
     if not result.whole.stations:
         return None

@@ -9,7 +9,8 @@ if TYPE_CHECKING:
     from scanner.viewing.buttons import HintedButton as HintedButton
     from scanner.viewing.colouring import Colouring as Colouring
     from scanner.viewing.first_look import preview_scan as preview_scan
-    from scanner.viewing.opening import add_address as add_address
+    from scanner.viewing.opening import DEFAULT_PORT as DEFAULT_PORT
+    from scanner.viewing.opening import LOCAL as LOCAL
     from scanner.viewing.opening import free_port as free_port
     from scanner.viewing.opening import require_viser as require_viser
     from scanner.viewing.origin_check import OriginCheck as OriginCheck
@@ -39,14 +40,14 @@ if TYPE_CHECKING:
     from scanner.viewing.windows import Window as Window
     from scanner.viewing.windows import Windows as Windows
 
-# Viser is optional, and the command line asks for `add_address` alone.
+# Viser is optional, and the command line asks for the address alone.
 __all__, __getattr__, __dir__ = defer_imports(
     __name__,
     {
         "buttons": "HintedButton PLAIN",
         "colouring": "Colouring",
         "first_look": "preview_scan",
-        "opening": "add_address free_port require_viser",
+        "opening": "DEFAULT_PORT LOCAL free_port require_viser",
         "origin_check": "OriginCheck",
         "panel": "ResultPanel reading",
         "picking": "KnownScale",

@@ -2,7 +2,6 @@
 
 import errno
 import socket
-from argparse import ArgumentParser
 from ipaddress import ip_address
 
 from hw.optional_parts import CONSOLE
@@ -16,23 +15,6 @@ def require_viser() -> None:
     """Raise InputError, saying what to install, if viser is not there."""
     with CONSOLE.needed("the page in the browser", "viser", InputError):
         import viser  # noqa: F401  # only now, for most commands do without
-
-
-def add_address(parser: ArgumentParser) -> None:
-    """`--host`, `--port` and `--no-browser`."""
-    parser.add_argument(
-        "--host",
-        default=LOCAL,
-        metavar="ADDRESS",
-        help=f"address to serve the page at (default: {LOCAL}, this computer)",
-    )
-    parser.add_argument(
-        "--port",
-        type=int,
-        metavar="N",
-        help=f"port to serve it at (default: {DEFAULT_PORT}, or the next that is free)",
-    )
-    parser.add_argument("--no-browser", action="store_true", help="only print the address, open no browser")
 
 
 def free_port(host: str, wanted: int | None) -> int:

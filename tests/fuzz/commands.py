@@ -28,7 +28,7 @@ def board(folder: Path) -> Run:
     target, captures, out = parse_target(_BOARDS[0], options.square), folder / "captures", folder / "out"
     for number, pose in enumerate(made.poses):
         write_board_capture(captures / f"{number}", target, made.calibration, pose)
-    odd, parser, run = captures / "odd", parser_of("board"), NAMED["board"].load()
+    odd, parser, command = captures / "odd", parser_of("board"), NAMED["board"]
 
     def spoil(rng: Random) -> None:
         if rng.random() < 0.5:
@@ -52,7 +52,7 @@ def board(folder: Path) -> Run:
             words[int(rng.integers(len(words)))] if rng.random() < 0.3 else words[0] for words in (_BOARDS, _SQUARES)
         )
         arguments = [*map(str, given), str(odd), "--board", named, f"--square={square}", "--out", str(out)]
-        run(parser.parse_args([*arguments, "--overwrite", "--quiet"]))
+        command.of(parser.parse_args([*arguments, "--overwrite", "--quiet"])).run()
         read_calibration(out / "calibration.yaml")
 
     return guarded(read)
