@@ -33,7 +33,7 @@ _TITLES = {
     "scanner/measuring": "Measurements and exports",
 }
 _WITH = {
-    "scanner/pipeline.py": "scanner/capture",
+    "scanner/acquisition.py": "scanner/capture",
     "scanner/jobs.py": "scanner/capture",
     "calib/refusal.py": "calib/diagnostics",
     "calib/numerics": "calib/diagnostics",
