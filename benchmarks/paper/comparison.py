@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from paper.experiment import Results
 from paper.markdown import mean_of, mean_size, method_name, number
-from paper.page_tables import LENSES_CORRECTED, OWN_METHODS, STARTS, Parts
+from paper.page_tables import BOTH_POINTS, KNOWING, LENSES_CORRECTED, OWN_METHODS, STARTS, Parts
 
 _REFINED = "refined"
 _REFINED_METHODS = [key for _, key, _ in OWN_METHODS if key.startswith(_REFINED)]
@@ -16,6 +16,7 @@ def where_peers_are_better(results: Results) -> str:
     own = results.read("table1")
     found = [
         *_intrinsics(own, results.read("table1-two-views")),
+        *_knowing(results.read("table1-two-views")),
         *_focal_lengths(own, results.read("table1-many-views")),
         *_matches(results.read("table3")),
         *_sphere(results.read("figure7")),
@@ -32,6 +33,14 @@ def _intrinsics(own: Parts, two_views: Parts) -> Iterator[str]:
     for other, parts in others.items():
         theirs = {room: mean_size(parts.get(room, {}).get(other)) for room in own}
         yield from _rooms_won(f"“{method_name(other)}”", theirs, ours)
+
+
+def _knowing(two_views: Parts) -> Iterator[str]:
+    """With both principal points known."""
+    errors = {key: {room: mean_size(two_views[room][BOTH_POINTS][key]) for room in two_views} for _, key in KNOWING}
+    ours = {key: errors[key] for key in errors if key.startswith(_REFINED)}
+    for peer in errors.keys() - ours.keys():
+        yield from _rooms_won(f"“{peer}” with both PP known", errors[peer], ours)
 
 
 def _focal_lengths(own: Parts, many_views: Parts) -> Iterator[str]:

@@ -1,11 +1,13 @@
 """This project's methods of the first table: the paper's search as published, and the refined one."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from calib.closed_form import Objective, objective_for
 from calib.geometry import Calibration, Matches
+from calib.refinement import ORDINARY_LENSES, LensPrior
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint, paper_trials, self_calibrate, self_calibrate_jointly
 from paper.captures import FULL, Setup
@@ -46,12 +48,25 @@ def by_paper(matches: Matches, truth: Calibration) -> Calibration:
 
 
 def refined(
-    captures: list[Matches], truth: Calibration, point: PrincipalPoint, squareness_deg: float = 0.0
+    captures: list[Matches],
+    truth: Calibration,
+    point: PrincipalPoint,
+    squareness_deg: float = 0.0,
+    lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
 ) -> Calibration:
     """Maximum likelihood from one capture, or jointly from several of one corner; raises RefusalError."""
     sizes = truth.camera.size, truth.projector.size
-    found = self_calibrate_jointly(captures, *sizes, principal_point=point, squareness_deg=squareness_deg)
+    found = self_calibrate_jointly(
+        captures, *sizes, principal_point=point, squareness_deg=squareness_deg, lenses=lenses
+    )
     return found[0].calibration
+
+
+def refined_knowing(matches: Matches, truth: Calibration, squareness_deg: float = 0.0) -> Calibration:
+    """Of ideal lenses with both true principal points, all of which is said; raises RefusalError."""
+    ideal = LensPrior().with_sigmas(decentering=0.0, k3=0.0, radial=0.0)
+    projector = replace(ideal, point=PrincipalPoint(truth.projector.principal_point_px, 0.0))
+    return refined([matches], truth, known_point(truth), squareness_deg, (ideal, projector))
 
 
 def by_configurations(matches: Matches, truth: Calibration) -> list[Errors]:

@@ -11,7 +11,7 @@ from paper.comparison import where_peers_are_better
 from paper.experiment import Results
 from paper.markdown import number
 from paper.page_figures import beyond, figure_7, figure_8, ratios_to_bound
-from paper.page_tables import Parts, Pictures, table_1, table_1_two_views, table_2, table_3
+from paper.page_tables import Parts, Pictures, table_1, table_1_both_points, table_1_two_views, table_2, table_3
 from paper.photographs import CUT_OFF
 from paper.two_views import MATCHES
 
@@ -64,6 +64,7 @@ def _context(parts: dict[str, Parts], pictures: Pictures) -> dict[str, Any]:
     context: dict[str, Any] = {
         "table_1": table_1(own, many_views) if own else "",
         "two_views": table_1_two_views(parts["table1-two-views"]) if parts["table1-two-views"] else "",
+        "both_points": table_1_both_points(parts["table1-two-views"]) if parts["table1-two-views"] else "",
         "views": next(iter(many_views.values()), None),
         "colmap_matches": MATCHES,
         "start": [number(100 * share) for share in published.RANDOM_START_SHORT_BY],

@@ -23,6 +23,13 @@ OWN_METHODS = (
 )
 STARTS = ("C", "C-BA", "R", "R-BA")  # of COLMAP's two views
 LENSES_CORRECTED = ", lenses corrected"
+BOTH_POINTS = "both PP known, lenses corrected"
+KNOWING = (
+    ("COLMAP, two views", "COLMAP"),
+    ("COLMAP, two views, from the true focal lengths", "COLMAP, true start"),
+    ("**refined**", "refined"),
+    ("**refined**, walls square to ± 0.3° only", "refined, walls unknown"),
+)
 
 
 def table_1(own: Parts, many_views: Parts) -> str:
@@ -61,6 +68,19 @@ def table_1_two_views(parts: Parts) -> str:
         rows.append([start, *means, stated])
     further = f"median of {len(draws[0])} further random starts"
     return table(["COLMAP, two views: error, %", "mean", "lenses corrected", further, "the paper's own figure"], rows)
+
+
+def table_1_both_points(parts: Parts) -> str:
+    """COLMAP's two views and the refined method, told that lenses are ideal and where both principal points are.
+
+    Means over the focal lengths alone, as the principal points have no error.
+    """
+    found = [figures[BOTH_POINTS] for figures in parts.values()]
+    rows = []
+    for shown, key in KNOWING:
+        means = [mean_size(errors[:2] if (errors := each[key]) else None) for each in found]
+        rows.append([shown, number(mean_of(means)) + answered(means), number(_largest(means))])
+    return table([f"{BOTH_POINTS}: error of f_c and f_p, %", "mean", "worst room"], rows)
 
 
 def _median(values: Iterable[float | None]) -> float | None:

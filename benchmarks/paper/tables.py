@@ -16,11 +16,13 @@ from paper.methods import (
     errors_of,
     known_point,
     refined,
+    refined_knowing,
     unknown_point,
 )
+from paper.page_tables import BOTH_POINTS
 from paper.published import DOWNSAMPLED, MATCHES
 from paper.two_views import MATCHES as MATCHES_FOR_COLMAP
-from paper.two_views import centre_start, drawn_start, paper_start, variants
+from paper.two_views import centre_start, drawn_start, paper_start, variants, with_known_points
 from scanner.quantities import intrinsic_errors_percent
 
 _DRAWS, _QUICK_DRAWS = 5, 1
@@ -55,6 +57,14 @@ def _two_views(setup: Setup, part: str) -> Figures:
         figures |= _both(start, matches, truth, start_px)
         figures |= _both(f"{start}, lenses corrected", corrected, truth, start_px)
     draws = [drawn_start(truth, rng) for _ in range(_QUICK_DRAWS if setup.quick else _DRAWS)]
+    walls = {"": 0.0, ", walls unknown": ORDINARY_WALLS_DEG}
+    figures[BOTH_POINTS] = {
+        f"COLMAP{name}": _errors(with_known_points(corrected, truth, from_truth=bool(name)), truth)
+        for name in ("", ", true start")
+    } | {
+        f"refined{name}": errors_of(partial(refined_knowing, corrected, truth, off_deg), truth)
+        for name, off_deg in walls.items()
+    }
     figures["R, further draws"] = [_both("R", matches, truth, start_px) for start_px in draws]
     return figures
 

@@ -1,11 +1,14 @@
 """COLMAP on the two views of a rig, in the paper's four variants."""
 
+from dataclasses import replace
+
 import numpy as np
-from colmap_two_view import two_views, unknown_focal
+from colmap_two_view import TwoViews, two_views, unknown_focal
 
 from calib.geometry import Calibration, Matches
 from paper.published import RANDOM_START_SHORT_BY
 
+_ADJUSTMENTS = 10  # COLMAP's end before they have converged
 MATCHES = 10_000  # matches per capture for COLMAP: its time grows with them, its error does not depend on them
 
 
@@ -41,9 +44,30 @@ def variants(
     results: list[Calibration | None] = []
     for free in (False, True):
         found.adjust(free_principal_point=free)
-        try:
-            results.append(found.calibration)
-        except ValueError as error:
-            print(f"    COLMAP ran off: {error}")
-            results.append(None)
+        results.append(_calibration_of(found))
     return results[0], results[1]
+
+
+def with_known_points(matches: Matches, truth: Calibration, *, from_truth: bool) -> Calibration | None:
+    """COLMAP's solution with both true principal points, adjusted until it converges; None if it finds none.
+
+    It starts at COLMAP's default focal lengths, or at the true ones.
+    """
+    devices = [
+        replace(device, distortion=(0.0,) * 5) if from_truth else unknown_focal(*device.size, device.principal_point_px)
+        for device in (truth.camera, truth.projector)
+    ]
+    found = two_views(matches, *devices)
+    if found is None:
+        return None
+    for _ in range(_ADJUSTMENTS):
+        found.adjust(free_principal_point=False)
+    return _calibration_of(found)
+
+
+def _calibration_of(found: TwoViews) -> Calibration | None:
+    try:
+        return found.calibration
+    except ValueError as error:
+        print(f"    COLMAP ran off: {error}")
+        return None
