@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
 
+from calib.diagnostics import Uncertainty
 from calib.finding import FindingKind
 from calib.geometry import Calibration
 from calib.refusal import RefusalError
@@ -21,6 +22,7 @@ from scanner.configuration import Config
 from scanner.errors import InputError, is_of_memory, is_of_threads
 from scanner.live.cloud import LiveCloud, LiveDecoder
 from scanner.live.first_look import FirstLook, look
+from scanner.live.given_calibration import find_change_live
 from scanner.live.joining import joining, keep_station
 from scanner.live.rounds import best_sequence, take_rounds
 from scanner.live.sequence import LiveSequence
@@ -116,7 +118,7 @@ def scan_live(
     watcher.begin(known, wishes)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         try:
-            _look_on(config, folder, found, wishes, depths, progress or terminal, watcher)
+            _look_on(config, folder, found, start.uncertainty, wishes, depths, progress or terminal, watcher)
             if not found.kept:
                 raise KeyboardInterrupt
         except (KeyboardInterrupt, Exception) as error:
@@ -149,6 +151,7 @@ def _look_on(
     config: Config,
     folder: Path,
     found: LiveResult,
+    stated: Uncertainty | None,
     wishes: Wishes,
     depths: tuple[float, float] | None,
     progress: Progress,
@@ -168,6 +171,8 @@ def _look_on(
                     with progress.step("Looking at light and dark"):
                         seen = look(rig, config)
                         first = seen, best_sequence(rig, seen, found.calibration, depths)
+                        for finding in find_change_live(rig, first[1], seen, found.calibration, stated):
+                            watcher.tell(str(finding))
                 watcher.on_rig(rig)
                 _watch(rig, *first, found, keeper, watcher, one_only=by_itself)
 
