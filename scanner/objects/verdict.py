@@ -4,13 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.finding import Finding, FindingKind, Severity, of_kinds, without_kinds
+from calib.finding import Finding, FindingKind, Severity, without_kinds
 from calib.refusal import AMBIGUOUS
-from calib.scene import BY_SCENE, CALIBRATION_CHANGED
 from scanner.objects.contents import SolvedObject
 from scanner.quantities import shown_unit
 from scanner.results import Verdict, fit_together
-from scanner.rooms import LOOSE_STATIONS, weakness_of
+from scanner.rooms import LOOSE_STATIONS, lower_for_doubts
 
 _ADVICE = (
     "Make its sides different, for example with painted spots or scraps of paper, so that the pictures show how it was "
@@ -35,15 +34,8 @@ def verdict_on(solved: SolvedObject) -> Verdict:
     if decisive is not None and decisive.kind == LOOSE_STATIONS:
         return Verdict("refused", decisive.message, reasons, decisive.advice, findings, kinds)
     together = fit_together(len(names), len(names) + len(solved.outlier_stations), "object")
-    if changed := of_kinds(findings, CALIBRATION_CHANGED):
-        headline = f"{together}, but with a calibration that no longer holds."
-        return Verdict("fair", headline, reasons, changed[0].advice, findings, kinds)
-    if weakness := weakness_of(solved.calibration, findings):
-        return Verdict("fair", f"{together}, but {weakness}", reasons, BY_SCENE.remedy, findings, kinds)
-    if solved.outlier_stations:
-        outliers = ", ".join(station.name for station in solved.outlier_stations)
-        return Verdict("fair", f"{together}; left out: {outliers}.", reasons, findings=findings, kinds=kinds)
-    return Verdict("good", f"{together}.", reasons, findings=findings, kinds=kinds)
+    of_all = Verdict("good", f"{together}.", reasons, findings=findings, kinds=kinds)
+    return lower_for_doubts(of_all, together, solved.calibration, solved.outlier_stations)
 
 
 def _findings(solved: SolvedObject) -> Iterator[Finding]:

@@ -14,8 +14,7 @@ from scanner.rooms.scene_rig import (
     rig_from_placed,
     rig_from_stations,
     start_of,
-    weakness_of,
 )
 from scanner.rooms.solve import solve_room
 from scanner.rooms.textures import part_of
-from scanner.rooms.verdict import LOOSE_STATIONS, verdict_on
+from scanner.rooms.verdict import LOOSE_STATIONS, lower_for_doubts, verdict_on

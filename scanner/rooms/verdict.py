@@ -1,15 +1,17 @@
 """Can one trust this room? The answer in plain words, from the numbers."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity, of_kinds
+from calib.geometry import Calibration
 from calib.refusal import AMBIGUOUS
 from calib.scene import BY_SCENE, CALIBRATION_CHANGED
 from scanner.quantities import shown_unit
 from scanner.results import Verdict, fit_together
-from scanner.rooms.contents import SolvedRoom
+from scanner.rooms.contents import OutlierStation, SolvedRoom
 from scanner.rooms.scene_rig import weakness_of
 
 # Each station then has less weight, because its smooth errors are common to all.
@@ -49,15 +51,23 @@ def verdict_on(room: SolvedRoom) -> Verdict:
         headline = f"{together}, but the lenses have distortion that is not modelled."
         reasons = (decisive.message, *reasons)
         return Verdict("fair", headline, reasons, decisive.advice, findings, (*kinds, UNMODELLED_DISTORTION))
-    if changed := of_kinds(findings, CALIBRATION_CHANGED):
+    of_all = Verdict("good", f"{together}.", reasons, findings=findings, kinds=kinds)
+    return lower_for_doubts(of_all, together, room.calibration, room.outlier_stations)
+
+
+def lower_for_doubts(
+    of_all: Verdict, together: str, calibration: Calibration, outliers: Sequence[OutlierStation]
+) -> Verdict:
+    """The verdict on stations that fit `together`, fair if their rig is doubtful, or some are left out."""
+    if changed := of_kinds(of_all.findings, CALIBRATION_CHANGED):
         headline = f"{together}, but with a calibration that no longer holds."
-        return Verdict("fair", headline, reasons, changed[0].advice, findings, kinds)
-    if weakness := weakness_of(room.calibration, findings):
-        return Verdict("fair", f"{together}, but {weakness}", reasons, BY_SCENE.remedy, findings, kinds)
-    if room.outlier_stations:
-        outliers = ", ".join(station.name for station in room.outlier_stations)
-        return Verdict("fair", f"{together}; left out: {outliers}.", reasons, findings=findings, kinds=kinds)
-    return Verdict("good", f"{together}.", reasons, findings=findings, kinds=kinds)
+        return replace(of_all, grade="fair", headline=headline, advice=changed[0].advice)
+    if weakness := weakness_of(calibration, of_all.findings):
+        return replace(of_all, grade="fair", headline=f"{together}, but {weakness}", advice=BY_SCENE.remedy)
+    if outliers:
+        names = ", ".join(station.name for station in outliers)
+        return replace(of_all, grade="fair", headline=f"{together}; left out: {names}.")
+    return of_all
 
 
 def _findings(room: SolvedRoom) -> Iterator[Finding]:
