@@ -6,6 +6,7 @@ Simulated things of 100 mm before a resting rig, with matches from rays and 0.05
 
 - `turned`: by 12 to 25° about random axes,
 - `turntable`: by steps of 15°, and tipped by 30° at one more,
+- `cluttered`: a rig at places about a clutter of two dozen bodies, turned by 12 to 25° about random axes,
 - `one-axis`: by steps of 15°, which determines no calibration and has to be refused.
 
 Seconds are of processor time.
@@ -24,7 +25,7 @@ from scanner.objects import rig_from_object
 from scanner.ui import Terminal
 
 sys.path.append(str(Path(__file__).parents[1]))
-from tests.support.things import ThingStation, config_for, decoded, thing_stations, true_rig, turned_stations
+from tests.support.things import ThingStation, cluttered_stations, config_for, decoded, thing_stations, true_rig, turned_stations
 
 _CAMERA = (612, 512)
 _TIPPED = 5  # a step at which the simulated turntable tips
@@ -35,7 +36,7 @@ def main() -> None:
     parser.add_argument("--things", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--stations", type=int, default=6)
-    parser.add_argument("--how", choices=["turned", "turntable", "one-axis"], default="turned")
+    parser.add_argument("--how", choices=["turned", "turntable", "cluttered", "one-axis"], default="turned")
     parser.add_argument("--gloss", type=float, default=0.0)
     args = parser.parse_args()
     print("thing  stations  points  f_c %   f_p %    sigma       x_c, y_c px    x_p, y_p px    error/sigma  seconds")
@@ -76,6 +77,8 @@ def main() -> None:
 def _stations(how: str, count: int, seed: int, gloss: float) -> list[ThingStation]:
     if how == "turned":
         return turned_stations(count, _CAMERA, seed, gloss=gloss)
+    if how == "cluttered":
+        return cluttered_stations(count, _CAMERA, seed, gloss=gloss)
     steps = thing_stations([*range(count)], _CAMERA, seed, steps=24, gloss=gloss)
     if how == "one-axis":
         return steps

@@ -20,6 +20,7 @@ from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, P
 HUBER_SIGMAS = 3.0  # sigmas
 _ROWS = 4  # of an observation: camera x, y; projector x, y
 _STEPS, CONVERGED = 40, 1e-7
+_POINT_STEPS = 2  # of points alone, after each step of the columns
 # A rig that stations hardly determine has a valley whose curvature is a millionth of the walls'.
 _DAMPING = replace(NIELSEN, first=1e-7, least=1e-13)
 _BEHIND = 1e4  # cost of an observation behind a device
@@ -191,7 +192,8 @@ def adjust(
 
     def after(at: SceneFit, step: Floats) -> SceneFit:
         own, by_step = at.by_points
-        return evaluate(at.scene.moved(step, -own - by_step @ step), observations, matches, spread, prior)
+        moved = at.scene.moved(step, -own - by_step @ step)
+        return evaluate(_intersected(moved, observations, spread), observations, matches, spread, prior)
 
     start = evaluate(scene, observations, matches, spread, prior)
     return descend(
@@ -203,6 +205,20 @@ def adjust(
         free=free,
         least_gain=converged,
     )
+
+
+def _intersected(scene: RigidScene, observations: SceneObservations, spread: ErrorScales) -> RigidScene:
+    """The scene with its points where their rays meet, to second order.
+
+    A long step of the columns moves points along curves. With points that follow, a step succeeds that would fail with
+    linear predictions (Jeong et al., "Pushing the envelope of modern methods for bundle adjustment", 2012).
+    """
+    for _ in range(_POINT_STEPS):
+        residuals = _observed(scene, observations, spread)
+        own, pull = residuals.of_points(observations)
+        step = np.asarray(np.linalg.solve(own, pull[..., None])[..., 0], np.float64)
+        scene = replace(scene, points=scene.points - step)
+    return scene
 
 
 def scores(
@@ -267,12 +283,21 @@ class _Residuals:
                 pulls[observations.point[own], columns] = (weighted[own] @ self.by_station[own])[:, 0]
         return pulls
 
+    @cached_property
+    def _across(self) -> Floats:
+        """Weighted derivatives by points, (M, 3, 4)."""
+        return np.swapaxes(self.by_point * self.weight[..., None], 1, 2)
+
+    def of_points(self, observations: SceneObservations) -> tuple[Floats, Floats]:
+        """Half the points' own curvature (N, 3, 3), and half the gradient (N, 3)."""
+        own = observations.sums(self._across @ self.by_point)
+        own += 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+        return own, observations.sums((self._across @ self.values[..., None])[..., 0])
+
     def by_points(self, observations: SceneObservations, size: int) -> tuple[Floats, Floats, Floats]:
         """Half the points' own curvature (N, 3, 3), half the gradient (N, 3), and mixed derivatives (N, 3, size)."""
-        across = np.swapaxes(self.by_point * self.weight[..., None], 1, 2)  # (M, 3, 4)
-        own = observations.sums(across @ self.by_point)
-        own += 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
-        pull = observations.sums((across @ self.values[..., None])[..., 0])
+        own, pull = self.of_points(observations)
+        across = self._across
         mixed = np.zeros((len(own), 3, size))
         mixed[..., :SHARED] = observations.sums(across @ self.by_rig)
         for columns, of_station in _of_stations(observations, size):

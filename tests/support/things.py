@@ -4,18 +4,21 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, Matches, Pose, Size, rotation_about
 from calib.numerics import Bools, Floats, Image
 from calib.refinement import State, device_of
-from hw.settings import SimulatedRigSettings
+from hw.settings import SimulatedRigSettings, ThingSettings
 from hw.simulated.things import SimulatedThing, Solid, TurntableScene
+from hw.simulated.things.solids import draw_solid
 from scanner.capture import CaptureMetadata
 from scanner.configuration import Config
 from scanner.results import Decoded, GivenMatches
 
 PROJECTOR = (854, 480)
 NOISE_PX = 0.05
+_BODIES = 24  # of a clutter
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,19 @@ def turned_stations(
     count: int, camera: tuple[int, int], seed: int = 0, noise_px: float = NOISE_PX, **thing: Any
 ) -> list[ThingStation]:
     """Stations of a thing alone, turned by 12 to 25° about random axes against the first."""
+    return _turned(None, count, camera, seed, noise_px, **thing)
+
+
+def cluttered_stations(
+    count: int, camera: tuple[int, int], seed: int = 0, noise_px: float = NOISE_PX, **thing: Any
+) -> list[ThingStation]:
+    """Places of a rig about a clutter of bodies that fills its picture, turned like `turned_stations`."""
+    return _turned(_clutter(seed), count, camera, seed, noise_px, **thing)
+
+
+def _turned(
+    solid: Solid | None, count: int, camera: tuple[int, int], seed: int, noise_px: float, **thing: Any
+) -> list[ThingStation]:
     rng = np.random.default_rng([seed, 18])
     settings = SimulatedRigSettings.model_validate(
         {"seed": seed, "thing": {"kind": "lump", "background": False, **thing}}
@@ -55,6 +71,9 @@ def turned_stations(
     found = []
     for number in range(count):
         simulated = SimulatedThing(settings, camera, PROJECTOR)
+        if solid is not None:
+            simulated.solid = solid
+            simulated.stage = TurntableScene(solid, simulated.pose, settings.thing)
         if number:
             axis = rng.standard_normal(3)
             turn = rotation_about(axis * np.radians(rng.uniform(12, 25)) / np.linalg.norm(axis))
@@ -64,6 +83,21 @@ def turned_stations(
             simulated.stage = TurntableScene(simulated.solid, simulated.pose, settings.thing)
         found.append(_station(simulated, noise_px, rng))
     return found
+
+
+def _clutter(seed: int) -> Solid:
+    """Bodies of many sizes and kinds in a box as wide and high as one thing, with four times its depth."""
+    rng = np.random.default_rng([seed, 19])
+    vertices, triangles, albedo = [], [], []
+    for _ in range(_BODIES):
+        kind, size = rng.choice(["lump", "box", "vase"]), rng.uniform(0.02, 0.06)
+        body = draw_solid(ThingSettings.model_validate({"kind": kind, "size_m": size}), rng)
+        turn = Rotation.random(random_state=rng).as_matrix()
+        centre = rng.uniform([-0.07, -0.05, -0.05], [0.07, 0.15, 0.05])
+        triangles.append(body.triangles + sum(map(len, vertices)))
+        vertices.append(body.vertices @ turn.T + centre)
+        albedo.append(body.albedo)
+    return Solid(np.concatenate(vertices), np.concatenate(triangles), np.concatenate(albedo))
 
 
 def _station(simulated: SimulatedThing, noise_px: float, rng: np.random.Generator) -> ThingStation:
