@@ -25,7 +25,15 @@ from scanner.objects import rig_from_object
 from scanner.ui import Terminal
 
 sys.path.append(str(Path(__file__).parents[1]))
-from tests.support.things import ThingStation, cluttered_stations, config_for, decoded, thing_stations, true_rig, turned_stations
+from tests.support.things import (
+    ThingStation,
+    cluttered_stations,
+    config_for,
+    decoded,
+    thing_stations,
+    true_rig,
+    turned_stations,
+)
 
 _CAMERA = (612, 512)
 _TIPPED = 5  # a step at which the simulated turntable tips

@@ -1,13 +1,13 @@
 """Stations of one unchanged rig, in a room or before a thing: taken now, or recorded before; and the rig itself."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import copy2
 
 from calib.diagnostics import Uncertainty
 from calib.finding import Finding
-from calib.geometry import Calibration
+from calib.geometry import Calibration, Pose
 from hw.open_rig import at_place, moves_by_itself
 from scanner.acquisition import decode_recording, take
 from scanner.capture import CAPTURE_FILE, check_places, open_capture
@@ -27,7 +27,8 @@ class RigStart:
 
     `corners`: the stations from whose corners it was calibrated, by number, with their faces; empty if the calibration
     was `given`, in its own unit, or is by what stations share. `uncertainty`: None if a given one states none.
-    `findings`: what is worth knowing of it.
+    `findings`: what is worth knowing of it. `places`: of stations that calibrated it, by number, nearly known:
+    X_any = R X_station + t.
     """
 
     calibration: Calibration
@@ -35,6 +36,7 @@ class RigStart:
     corners: Mapping[int, Decoded]
     given: Calibration | None = None
     findings: tuple[Finding, ...] = ()
+    places: Mapping[int, Pose] = field(default_factory=dict)
 
 
 def given_rig(path: Path, config: Config) -> RigStart:

@@ -87,10 +87,14 @@ class Registered:
     left_out: tuple[UnregisteredStation, ...]
 
 
-def register_views(views: Sequence[ObjectView | None]) -> Registered:
-    """Of one thing by one rig; in any order."""
+def register_views(views: Sequence[ObjectView | None], near: Mapping[int, Pose] | None = None) -> Registered:
+    """Of one thing by one rig; in any order.
+
+    `near`: places of some views that are nearly known, X_any = R X_view + t. Pairs of them are searched for only where
+    their surfaces do not agree there.
+    """
     seen = {k: view for k, view in enumerate(views) if view is not None}
-    edges = {(i, j): _suggested(seen[i], seen[j]) for i, j in combinations(seen, 2)}
+    edges = {(i, j): _between(seen, i, j, near or {}) for i, j in combinations(seen, 2)}
     sure = {pair: found for pair, found in edges.items() if found}
     left_out = [
         UnregisteredStation(k, Finding(NOTHING_SEEN, Severity.WARNING, "it shows only the static background"))
@@ -176,13 +180,25 @@ def _alternatives(
                 yield AlternativePose(k, turn_deg, moved.rate)
 
 
+def _between(views: Mapping[int, ObjectView], i: int, j: int, near: Mapping[int, Pose]) -> list[Suggestion]:
+    """The places of a pair that are worth following up, best first; only the known one if its surfaces agree there."""
+    known = _worth_following(views[i], views[j], [near[i].inverse() @ near[j]]) if near.keys() >= {i, j} else []
+    return known or _suggested(views[i], views[j])
+
+
 def _suggested(first: ObjectView, second: ObjectView, *, thorough: bool = False) -> list[Suggestion]:
-    """The places of a pair that are worth following up, best first.
+    """The places of a pair that are worth following up, best first, searched for."""
+    return _worth_following(first, second, suggested_poses(first, second, thorough=thorough), thorough=thorough)
+
+
+def _worth_following(
+    first: ObjectView, second: ObjectView, poses: Sequence[Pose], *, thorough: bool = False
+) -> list[Suggestion]:
+    """Those of some places of a pair at which their surfaces agree, best first.
 
     Of the many of a `thorough` search, the right one is not the one that meets most, but that which little speaks
     against.
     """
-    poses = suggested_poses(first, second, thorough=thorough)
     roughly = [evidence(first, second, pose, NARROW * first.grain, _SOME) for pose in poses]
     value = [_agreeing_share(each) if thorough else each.worth for each in roughly]
     rated = sorted(zip(value, range(len(poses)), strict=True), reverse=True)

@@ -9,4 +9,5 @@ from calib.scene.calibrate import (
     recalibrate_scene,
 )
 from calib.scene.given_calibration import CALIBRATION_CHANGED, LineTest, compare_with_lines, find_change
+from calib.scene.next_station import NextStation
 from calib.scene.problem import FEWEST_STATIONS

@@ -7,7 +7,7 @@ tells, at each of its pixels, that what the projector lights there is on it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -88,7 +88,7 @@ def align(scene: RigidScene, views: Sequence[MatchedView]) -> tuple[SceneObserva
             cv2.circle(free, pixels, int(_APART_PX), 0, -1)
         surface = _flat_patches(scene.rig, view, _inside(view), len(views))
         add(number, surface, _tracked(scene, views, number, surface, None))
-    return _joined(pieces), np.concatenate(points)
+    return SceneObservations.joined(pieces), np.concatenate(points)
 
 
 def _tracked(
@@ -118,7 +118,7 @@ def _tracked(
         lifted = lift(view.places, pixels)
         kept = lifted.is_smooth & np.isfinite(sigma) if pictures is not None else _is_flat(lifted)
         pieces.append(_observations(projected.number, other, pixels, lifted, sigma)[kept])
-    others = _joined(pieces)
+    others = SceneObservations.joined(pieces)
     chosen, point = np.unique(others.point, return_inverse=True)
     own_sigma = np.full(len(chosen), CHOSEN_PX)
     if pictures is not None:  # half of an alignment's variance is this picture's
@@ -126,19 +126,12 @@ def _tracked(
         own_sigma[:] = np.inf
         np.minimum.at(own_sigma, point, others.keypoint_px)
     own = _observations(chosen, number, patches.camera_px[chosen], patches.lifted[chosen], own_sigma)
-    tracks = _joined([own, others])
-    return tracks[np.argsort(tracks.point, kind="stable")]
+    return SceneObservations.joined([own, others])
 
 
 def _observations(point: Ints, station: int, pixels: Floats, lifted: Lifted, sigma: Floats) -> SceneObservations:
     stations = np.full(len(point), station)
     return SceneObservations(point, stations, pixels, lifted.projector_px, lifted.slope, lifted.sigma_px, sigma)
-
-
-def _joined(pieces: Sequence[SceneObservations]) -> SceneObservations:
-    return SceneObservations(
-        *(np.concatenate([getattr(piece, field.name) for piece in pieces]) for field in fields(SceneObservations))
-    )
 
 
 def _inside(view: MatchedView) -> Bools:
@@ -177,14 +170,22 @@ def _is_flat(lifted: Lifted) -> Bools:
 
 def _patches(rig: State, view: MatchedView, pixels: Floats) -> _Patches:
     lifted = lift(view.places, pixels)
-    steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    here, right, down = (_points(rig, pixels + step, lifted.projector_px + lifted.slope @ step) for step in steps)
-    patches = _Patches(pixels, lifted, here, np.stack([right - here, down - here], axis=2))
+    patches = _Patches(pixels, lifted, *surface_at(rig, pixels, lifted.projector_px, lifted.slope))
     return _some_of(patches, lifted.is_smooth)
 
 
 def _some_of(patches: _Patches, kept: Bools) -> _Patches:
     return _Patches(patches.camera_px[kept], patches.lifted[kept], patches.points[kept], patches.tangents[kept])
+
+
+def surface_at(rig: State, camera_px: Floats, projector_px: Floats, slope: Floats) -> tuple[Floats, Floats]:
+    """Points (K, 3) of a surface in the camera's frame, and their derivatives (K, 3, 2) by the camera's pixel.
+
+    `slope` (K, 2, 2): derivatives of the projector's pixel by the camera's.
+    """
+    steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    here, right, down = (_points(rig, camera_px + step, projector_px + slope @ step) for step in steps)
+    return here, np.stack([right - here, down - here], axis=2)
 
 
 def _points(rig: State, camera_px: Floats, projector_px: Floats) -> Floats:

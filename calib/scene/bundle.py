@@ -62,6 +62,12 @@ class SceneObservations:
         chosen: Bools = self.keypoint_px <= CHOSEN_PX
         return chosen
 
+    @classmethod
+    def joined(cls, pieces: Sequence["SceneObservations"]) -> "SceneObservations":
+        """All of some, ordered by point."""
+        every = cls(*(np.concatenate([getattr(piece, field.name) for piece in pieces]) for field in fields(cls)))
+        return every[np.argsort(every.point, kind="stable")]
+
     def sums(self, values: Floats) -> Floats:
         """Sums (N, ...) over the observations of each point of `values` (M, ...)."""
         starts = np.flatnonzero(np.diff(self.point, prepend=-1))

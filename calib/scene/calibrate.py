@@ -21,6 +21,7 @@ from calib.refinement import (
 )
 from calib.refusal import RefusalError
 from calib.scene.bundle import NOTHING_OBSERVED, RigidScene, SceneFit
+from calib.scene.next_station import NextStation, best_next_station
 from calib.scene.problem import FEWEST_POINTS, FEWEST_STATIONS, SceneProblem, sharpened
 from calib.scene.start import SceneStart, starts_of, with_motions
 from calib.scene.tracks import observe, placed_stations
@@ -98,10 +99,14 @@ class SceneCalibration:
     uncertainty: Uncertainty
     stations: tuple[int, ...]
     """The numbers of those that share points with others."""
+    poses: tuple[Pose, ...]
+    """Of each of them, X_station = R X_first + t."""
     points: int
     """Points of the scene that two or more stations share."""
     keypoint: float
     """By which keypoints are off, in their standard deviations."""
+    next_station: NextStation | None
+    """The turn that would help most; None where points would be out of sight after any."""
     leaves_open: RefusalError | None = None
     """What these stations do not determine, where that was asked for as a start."""
 
@@ -117,8 +122,8 @@ def calibrate_scene(
 ) -> SceneCalibration:
     """Calibrate both devices from captures, each with the lit scene's picture (H, W) or (H, W, 3).
 
-    `provisional`: where the stations that are connected leave something open, say so in the result, which is a start
-    of `recalibrate_scene`.
+    `provisional`: the result is a start of `recalibrate_scene` where stations are missing in it. Then it is rough, and
+    says what they leave open instead of refusing it.
 
     Raises RefusalError if the captures do not determine a calibration; ValueError if a picture has another size.
     """
@@ -148,7 +153,9 @@ def calibrate_scene(
     if not solved:
         raise _nothing_common(0, 0, len(captures))
     solution = max(solved, key=lambda solution: solution.nats)
-    sharp = sharpened(solution.problem, solution.fit.scene, [views[k] for k in solution.places])
+    seen_by = [views[k] for k in solution.places]
+    is_rough = provisional and len(seen_by) < len(captures)
+    sharp = sharpened(solution.problem, solution.fit.scene, seen_by, roughly=is_rough)
     if sharp is None:
         raise _nothing_common(len(solution.fit.scene.points), len(solution.places), len(captures))
     problem, fit = sharp.problem, sharp.fit
@@ -158,7 +165,7 @@ def calibrate_scene(
         _refuse_undetermined(problem, fit, found.uncertainty)
         _refuse_ambiguous(solution, solved)
     except RefusalError as refusal:
-        if not provisional:
+        if not provisional or len(places) == len(captures):
             raise
         return replace(found, leaves_open=refusal)
     return found
@@ -217,7 +224,15 @@ def _concluded(
     rig, covariance = fit.scene.rig, problem.covariance(fit)
     calibration = calibration_of(rig, *sizes, sigmas_of(rig, covariance))
     uncertainty = Uncertainty(rig, covariance, None, problem.spread.matches * _usual(problem.matches))
-    return SceneCalibration(calibration, uncertainty, stations, len(fit.scene.points), problem.spread.keypoint)
+    return SceneCalibration(
+        calibration,
+        uncertainty,
+        stations,
+        fit.scene.stations,
+        len(fit.scene.points),
+        problem.spread.keypoint,
+        best_next_station(problem, fit, covariance),
+    )
 
 
 def _refuse_apart(problem: SceneProblem) -> None:

@@ -76,10 +76,8 @@ class SceneProblem:
         for (White, "Maximum likelihood estimation of misspecified models", 1982; Liang and Zeger, "Longitudinal data
         analysis using generalized linear models", 1986). So does the first, by a factor.
         """
-        free = np.concatenate([np.flatnonzero(self.prior.free[:SHARED]), np.arange(SHARED, fit.scene.size)])
-        scale = np.sqrt(np.diag(fit.information)[free])
-        inverse = np.linalg.pinv(fit.information[np.ix_(free, free)] / np.outer(scale, scale), hermitian=True)
-        inverse /= np.outer(scale, scale)
+        free = self._free(fit.scene.size)
+        inverse = self.inverted(fit.information)[np.ix_(free, free)]
         by_point, by_match = scores(fit.scene, self.observations, self.matches, self.spread)
         by_place = _summed(by_point, _places(fit.scene))
         scatter = by_place.T @ by_place
@@ -90,6 +88,18 @@ class SceneProblem:
         covariance = np.zeros((fit.scene.size, fit.scene.size))
         covariance[np.ix_(free, free)] = (shared * inverse + by_scores) / 2
         return covariance[:SHARED, :SHARED]
+
+    def inverted(self, information: Floats) -> Floats:
+        """The covariance (size, size) by an information (size, size); zero where a column is held."""
+        free = self._free(len(information))
+        scale = np.sqrt(np.diag(information)[free])
+        inverse = np.linalg.pinv(information[np.ix_(free, free)] / np.outer(scale, scale), hermitian=True)
+        covariance = np.zeros_like(information)
+        covariance[np.ix_(free, free)] = inverse / np.outer(scale, scale)
+        return covariance
+
+    def _free(self, size: int) -> Ints:
+        return np.concatenate([np.flatnonzero(self.prior.free[:SHARED]), np.arange(SHARED, size)])
 
     def _of(self, kept: Bools, scene: RigidScene) -> "tuple[SceneProblem, RigidScene]":
         """The problem of some observations, and the scene of the points that two of them share."""
@@ -113,15 +123,17 @@ class Sharpened:
     """The stations that belong to the scene, by their numbers among those that were given."""
 
 
-def sharpened(problem: SceneProblem, scene: RigidScene, views: Sequence[MatchedView]) -> Sharpened | None:
-    """The problem of what the stations of a scene share, seen again under each better scene.
+def sharpened(
+    problem: SceneProblem, scene: RigidScene, views: Sequence[MatchedView], *, roughly: bool = False
+) -> Sharpened | None:
+    """The problem of what the stations of a scene share, seen again under each better scene, but for `roughly`.
 
     `views`: of the stations. Those of which little fits, because they were placed wrongly, are left out. None where too
     little is shared.
     """
     members = tuple(range(len(views)))
     solution = None
-    for factors in _SHARPENED:
+    for factors in _SHARPENED[:1] if roughly else _SHARPENED:
         while True:
             observations, points = align(scene, [views[k] for k in members])
             if len(members) < FEWEST_STATIONS or len(points) < FEWEST_POINTS:

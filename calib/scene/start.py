@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.closed_form import intrinsic_matrices
 from calib.geometry import IDENTITY, Pose, depths_of_rays, homogeneous
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints, at_random
 from calib.refinement import State, without_lens
 from calib.registration import fit_rigid_motion
 from calib.scene.views import SceneView, some_matches
@@ -24,6 +24,7 @@ _ON_LINE_PX = 1.0
 _FOCALS = np.geomspace(0.8, 3.2, 8)  # in image widths
 _LENS_SHIFTS = (0.5, 1.0, 0.0)  # heights of the projector's principal point, in picture heights
 _PAIRS = 12  # of views with most matching keypoints, by which trials are judged
+_JUDGING = 120  # keypoints of such a pair
 _FEWEST = 8  # keypoints of a pair that agree
 _WITHIN = 0.02, 0.01, 0.005  # of the distance: agreement of two points, ever closer
 _COMPATIBLE = 0.03  # agreement of distances between points
@@ -54,6 +55,10 @@ def starts_of(
     if fundamental is None:
         return []
     used = sorted(pairs, key=lambda pair: -len(pairs[pair][0]))[:_PAIRS]
+    some = {}
+    for pair in used:
+        chosen = at_random(len(pairs[pair][0]), _JUDGING)
+        some[pair] = pairs[pair][0][chosen], pairs[pair][1][chosen]
     (width, _), (wide, high) = sizes
     centres = [((wide - 1) / 2, (high - 1) * height) for height in _LENS_SHIFTS]
     if projector_centre_px is not None:
@@ -67,7 +72,7 @@ def starts_of(
                 projector = without_lens(projector_focal, np.array(centre))
                 pose = _relative_pose(fundamental, camera, projector, sample.camera_px, sample.projector_px)
                 if pose is not None:
-                    trials.append(_judged(State(camera, projector, pose), views, pairs, used))
+                    trials.append(_judged(State(camera, projector, pose), views, some, [*some]))
     return sorted(trials, key=lambda trial: -trial.score)
 
 

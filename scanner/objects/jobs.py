@@ -11,6 +11,7 @@ from scanner.objects.object_rig import rig_from_object
 from scanner.objects.save import save_object
 from scanner.objects.solve import solve_object
 from scanner.results import Decoded, Job, Verdict
+from scanner.rooms import guide_without_corner
 from scanner.stations import check_stations, given_rig, read_stations, take_stations
 from scanner.ui import SILENT, Terminal
 
@@ -41,7 +42,7 @@ def scan_object(
 
     def acquire(folder: Path) -> list[Decoded]:
         if isinstance(stations, int):
-            return list(take_stations(config, stations, folder, terminal, _TURN))
+            return _taken(config, stations, folder, terminal, calibrates=known is None)
         return read_stations(stations, config, terminal, known.given if known else None)
 
     def solve(captures: Sequence[Decoded]) -> SolvedObject:
@@ -55,6 +56,18 @@ def scan_object(
     job = Job(acquire, solve, write, _refusal_of)
     solved = job.run(config, out, is_live=isinstance(stations, int), overwrite=overwrite, terminal=terminal)
     return solved, surface
+
+
+def _taken(config: Config, number: int, folder: Path, terminal: Terminal, *, calibrates: bool) -> list[Decoded]:
+    """Stations of a thing before a resting rig. Where they calibrate it, the operator is told between them which next
+    one would help most.
+    """
+    captures: list[Decoded] = []
+    for capture in take_stations(config, number, folder, terminal, _TURN):
+        captures.append(capture)
+        if calibrates and len(captures) < number:
+            terminal.show(guide_without_corner(captures, config, terminal, "object"))
+    return captures
 
 
 def _refusal_of(verdict: Verdict) -> NoMeasurementError:

@@ -4,11 +4,10 @@ import logging
 from collections.abc import Sequence
 
 from calib.finding import Finding
-from calib.geometry import Pose
 from calib.refusal import RefusalError
 from calib.scene import FEWEST_STATIONS
 from scanner.configuration import Config
-from scanner.objects.solve import solve_object
+from scanner.objects.solve import place_stations
 from scanner.reconstruction import scaled
 from scanner.results import Decoded, GivenCalibration
 from scanner.rooms import after_no_corner, calibrate_by_pictures, rig_from_placed, start_of
@@ -24,21 +23,20 @@ def rig_from_object(captures: Sequence[Decoded], config: Config, progress: Progr
 
     Raises RefusalError.
     """
-    scene = calibrate_by_pictures(captures, config, progress)
-    if len(scene.stations) < len(captures):
-        try:
-            placed = solve_object(captures, start_of(scene), config, progress)
-            if len(placed.stations) > len(scene.stations):
-                unit = placed.calibration.baseline
-                places = [station.place.inverse() for station in placed.stations]
-                poses = [Pose(place.rotation, place.translation / unit) for place in places]
-                stations = [station.decoded for station in placed.stations]
-                return rig_from_placed(start_of(scene), stations, poses, config, progress)
-        except RefusalError as refusal:
-            log.info("pictures alone have to do: %s", refusal.reason)
-    if scene.leaves_open:
+    scene = calibrate_by_pictures(captures, config, progress, provisional=True)
+    start = start_of(scene)
+    if len(scene.stations) == len(captures):
+        return start
+    places = start.places
+    try:
+        by_surfaces = place_stations(captures, start, progress)
+        if len(by_surfaces) > len(places):
+            places = by_surfaces
+    except RefusalError as refusal:
+        log.info("pictures alone have to do: %s", refusal.reason)
+    if len(places) == len(scene.stations) and scene.leaves_open:
         raise scene.leaves_open
-    return start_of(scene)
+    return rig_from_placed(start, {k: captures[k] for k in places}, places, config, progress)
 
 
 def calibrate_without_corner(

@@ -1,7 +1,7 @@
 """Stations of a calibrated rig → a thing: the static background is removed, and the rest registered without a guess."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -62,8 +62,49 @@ NO_COMMON_SURFACE = FindingKind(
 
 def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedObject:
     """Raises RefusalError if no two stations show one surface, nothing moved, or the calibration is of another rig."""
-    given = start.given or start.calibration
-    calibration = scaled(given, None, config.scale)
+    calibration = scaled(start.given or start.calibration, None, config.scale)
+    stations = _registered(captures, start.places, calibration, progress)
+    with progress.step("Estimating"):
+        joint = estimate_jointly([view for _, view in stations.members], stations.places)
+        turntable = find_turntable(joint.places, joint.covariance, joint.information, joint.middle)
+    if len(captures) < FEWEST_TO_REST:
+        _refuse_unturned(joint.places)
+    solved = _finished(stations, captures, joint, turntable, calibration)
+    changed = find_change_of(start, [station.decoded for station in solved.stations])
+    return replace(solved, uncertainty=start.uncertainty, findings=(*start.findings, *changed))
+
+
+def place_stations(captures: Sequence[Decoded], start: RigStart, progress: Progress) -> dict[int, Pose]:
+    """Where stations are, by their numbers, X_any = R X_station + t, by their surfaces under a rig in its own unit.
+
+    Raises RefusalError if no two stations show one surface, nothing moved, or the calibration is of another rig.
+    """
+    return dict(_registered(captures, start.places, start.calibration, progress).registered.places)
+
+
+@dataclass(frozen=True, eq=False)
+class _Stations:
+    """Stations with their places before these are estimated."""
+
+    clouds: Sequence[Cloud]
+    """Of all captures."""
+    members: Sequence[tuple[int, ObjectView]]
+    """The captures that fit together, by number."""
+    registered: Registered
+    outlier_stations: tuple[OutlierStation, ...]
+    rests: float
+    """The share of the visible surfaces that is static."""
+
+    @property
+    def places(self) -> list[Pose]:
+        """Of the members."""
+        return [self.registered.places[k] for k, _ in self.members]
+
+
+def _registered(
+    captures: Sequence[Decoded], near: Mapping[int, Pose], calibration: Calibration, progress: Progress
+) -> _Stations:
+    """`near`: places in baselines. Raises RefusalError."""
     clouds = [
         build_cloud(each.matches, each.texture, calibration)
         for each in progress.track(captures, len(captures), "Surfaces")
@@ -81,8 +122,11 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
             "plates are, so that its shape does not show the angle: stick scraps of paper to it, and put it down "
             "elsewhere each time.",
         )
+    unit = calibration.baseline
     with progress.step("Registering"):
-        registered = register_views(views)
+        registered = register_views(
+            views, {k: Pose(place.rotation, unit * place.translation) for k, place in near.items()}
+        )
     outlier_stations = _outlier_stations(registered, captures)
     members = [(k, view) for k, view in enumerate(views) if view is not None and k in registered.places]
     if len(members) < 2:
@@ -91,14 +135,7 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
             f"No two stations show the same part of a thing: {outside_text(outlier_stations)}.",
             advice_on(outlier_stations),
         )
-    with progress.step("Estimating"):
-        joint = estimate_jointly([view for _, view in members], [registered.places[k] for k, _ in members])
-        turntable = find_turntable(joint.places, joint.covariance, joint.information, joint.middle)
-    if len(captures) < FEWEST_TO_REST:
-        _refuse_unturned(joint.places)
-    solved = _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
-    changed = find_change_of(start, [station.decoded for station in solved.stations])
-    return replace(solved, uncertainty=start.uncertainty, findings=(*start.findings, *changed))
+    return _Stations(clouds, members, registered, outlier_stations, rests)
 
 
 def _refuse_unturned(places: Sequence[Pose]) -> None:
@@ -184,16 +221,13 @@ def _views(
 
 
 def _finished(
-    clouds: Sequence[Cloud],
+    registered: _Stations,
     captures: Sequence[Decoded],
-    members: Sequence[tuple[int, ObjectView]],
-    registered: Registered,
     joint: JointEstimate,
     turntable: Turntable | None,
     calibration: Calibration,
-    outlier_stations: tuple[OutlierStation, ...],
-    rests: float,
 ) -> SolvedObject:
+    members = registered.members
     places, covariance = joint.places, joint.covariance
     if turntable is not None:
         places, covariance = turntable.places, turntable.covariance
@@ -215,7 +249,7 @@ def _finished(
         of_thing = kept[n].of_thing[..., None]
         nothing = np.float32(np.nan)
         points, normals = (np.where(of_thing, each, nothing) for each in (view.points, view.normals))
-        own = replace(clouds[k], points=points, normals=normals)
+        own = replace(registered.clouds[k], points=points, normals=normals)
         on_no_plane = np.full(view.depth.shape, -1, np.int32)
         place = upright @ places[n]
         stations.append(Station(k, captures[k], own, on_no_plane, place, np.degrees(turning), moving, np.nan))
@@ -231,10 +265,10 @@ def _finished(
         tuple(each.apart for each in kept),
         turntable,
         axis,
-        registered.alternatives,
+        registered.registered.alternatives,
         tuple(loose),
-        outlier_stations,
-        rests,
+        registered.outlier_stations,
+        registered.rests,
         _pose_errors(covariance, joint.middle, upright),
     )
 

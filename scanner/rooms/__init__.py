@@ -8,6 +8,7 @@ from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.jobs import scan_room
 from scanner.rooms.live import StationComparison
 from scanner.rooms.mesh import CAMERA_FROM_ROOM
+from scanner.rooms.scene_guidance import guide_without_corner
 from scanner.rooms.scene_rig import (
     after_no_corner,
     calibrate_by_pictures,

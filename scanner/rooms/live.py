@@ -15,6 +15,7 @@ from scanner.configuration import Config
 from scanner.results import Decoded
 from scanner.rooms.corner_rig import SeenCorner, corner_in, rig_of
 from scanner.rooms.epipolar_lines import of_another_rig
+from scanner.rooms.scene_guidance import guide_without_corner
 from scanner.rooms.scene_rig import rig_from_scene
 from scanner.rooms.solve import CaptureView, segment_capture
 from scanner.rooms.upright import upright
@@ -42,6 +43,8 @@ def take_room(config: Config, number: int, folder: Path, terminal: Terminal) -> 
         except RefusalError:
             if not corners:
                 terminal.show(f"{capture.name} shows no corner; without any, three stations must share what they see.")
+                if len(captures) < number:
+                    terminal.show(guide_without_corner(captures, config, terminal, "rig"))
         if corners:
             with terminal.step("Comparing with earlier stations"):
                 guidance = comparison.guidance(captures, rig_of(corners, captures).calibration)

@@ -1,7 +1,8 @@
 """A rig's calibration from its stations: from the corners that they show or, without any, from what they share."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 
 from calib.finding import Finding, FindingKind, Severity, of_kinds
 from calib.geometry import Calibration, Pose
@@ -46,14 +47,16 @@ def after_no_corner(no_corner: RefusalError) -> Iterator[None]:
 
 def rig_from_scene(stations: Sequence[Decoded], config: Config, progress: Progress) -> RigStart:
     """The rig by what the stations share. Raises RefusalError."""
-    scene = calibrate_by_pictures(stations, config, progress)
-    if scene.leaves_open:
-        raise scene.leaves_open
-    return start_of(scene)
+    return start_of(calibrate_by_pictures(stations, config, progress))
 
 
-def calibrate_by_pictures(stations: Sequence[Decoded], config: Config, progress: Progress) -> SceneCalibration:
-    """What the stations determine whose pictures have points in common, also if it is little. Raises RefusalError."""
+def calibrate_by_pictures(
+    stations: Sequence[Decoded], config: Config, progress: Progress, *, provisional: bool = False
+) -> SceneCalibration:
+    """What the stations determine whose pictures have points in common. Raises RefusalError.
+
+    `provisional`: as of `calibrate_scene`.
+    """
     sizes = stations[0].metadata.camera_size, stations[0].metadata.projector_size
     pictures = [(station.matches, station.texture) for station in stations if station.texture is not None]
     without = len(stations) - len(pictures)
@@ -66,25 +69,27 @@ def calibrate_by_pictures(stations: Sequence[Decoded], config: Config, progress:
             *sizes,
             principal_point=config.principal_point(sizes[0]),
             lenses=lenses_of(config, *sizes),
-            provisional=True,
+            provisional=provisional,
         )
 
 
 def start_of(scene: SceneCalibration) -> RigStart:
     """The rig of a calibration by what stations share."""
-    return RigStart(scene.calibration, scene.uncertainty, {}, findings=(finding_on(scene),))
+    places = {k: pose.inverse() for k, pose in zip(scene.stations, scene.poses, strict=True)}
+    return RigStart(scene.calibration, scene.uncertainty, {}, findings=(finding_on(scene),), places=places)
 
 
 def rig_from_placed(
-    start: RigStart, stations: Sequence[Decoded], poses: Sequence[Pose], config: Config, progress: Progress
+    start: RigStart, stations: Mapping[int, Decoded], places: Mapping[int, Pose], config: Config, progress: Progress
 ) -> RigStart:
     """The rig by what stations share. Raises RefusalError.
 
-    `poses`: where they are under the start's rig and in its unit, as X_station = R X_any + t.
+    `stations`: by number; `places`: where they are under the start's rig and in its unit, X_any = R X_station + t.
     """
     rig = start.calibration
-    pictures = [(station.matches, station.texture) for station in stations if station.texture is not None]
-    with_picture = [pose for pose, station in zip(poses, stations, strict=True) if station.texture is not None]
+    numbers = [k for k, station in stations.items() if station.texture is not None]
+    pictures = [(stations[k].matches, texture) for k in numbers if (texture := stations[k].texture) is not None]
+    with_picture = [places[k].inverse() for k in numbers]
     with progress.step("Calibrating by all that the stations share"):
         solved = recalibrate_scene(
             rig,
@@ -93,7 +98,7 @@ def rig_from_placed(
             principal_point=config.principal_point(rig.camera.size),
             lenses=lenses_of(config, *rig.sizes),
         )
-    return start_of(solved)
+    return start_of(replace(solved, stations=tuple(numbers[k] for k in solved.stations)))
 
 
 def weakness_of(calibration: Calibration, findings: Sequence[Finding]) -> str | None:

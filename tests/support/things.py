@@ -7,11 +7,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, Matches, Pose, Size, rotation_about
-from calib.numerics import Bools, Floats, Image
+from calib.numerics import Bools, Floats, Image, Ints
 from calib.refinement import State, device_of
 from hw.settings import SimulatedRigSettings, ThingSettings
-from hw.simulated.things import SimulatedThing, Solid, TurntableScene
-from hw.simulated.things.solids import draw_solid
+from hw.simulated.things import SimulatedThing, Solid, TurntableScene, draw_solid
 from scanner.capture import CaptureMetadata
 from scanner.configuration import Config
 from scanner.results import Decoded, GivenMatches
@@ -54,6 +53,20 @@ def turned_stations(
     return _turned(None, count, camera, seed, noise_px, **thing)
 
 
+def turned_before_camera(
+    seed: int, camera: tuple[int, int], axis: int, turn_deg: float, noise_px: float = NOISE_PX
+) -> ThingStation:
+    """A station like the first of `turned_stations`, with the thing turned about an axis of the camera."""
+    settings = SimulatedRigSettings.model_validate({"seed": seed, "thing": {"kind": "lump", "background": False}})
+    simulated = SimulatedThing(settings, camera, PROJECTOR)
+    towards = simulated.room.camera.pose
+    rotation = rotation_about(np.radians(turn_deg) * np.eye(3)[axis])
+    turn = towards.rotation @ rotation @ towards.rotation.T
+    simulated.pose = Pose(turn @ simulated.pose.rotation, simulated.pose.translation)
+    simulated.stage = TurntableScene(simulated.solid, simulated.pose, settings.thing)
+    return _station(simulated, noise_px, np.random.default_rng([seed, 20]))
+
+
 def cluttered_stations(
     count: int, camera: tuple[int, int], seed: int = 0, noise_px: float = NOISE_PX, **thing: Any
 ) -> list[ThingStation]:
@@ -88,13 +101,13 @@ def _turned(
 def _clutter(seed: int) -> Solid:
     """Bodies of many sizes and kinds in a box as wide and high as one thing, with four times its depth."""
     rng = np.random.default_rng([seed, 19])
-    vertices, triangles, albedo = [], [], []
+    vertices, triangles, albedo = list[Floats](), list[Ints](), list[Floats]()
     for _ in range(_BODIES):
         kind, size = rng.choice(["lump", "box", "vase"]), rng.uniform(0.02, 0.06)
         body = draw_solid(ThingSettings.model_validate({"kind": kind, "size_m": size}), rng)
         turn = Rotation.random(random_state=rng).as_matrix()
         centre = rng.uniform([-0.07, -0.05, -0.05], [0.07, 0.15, 0.05])
-        triangles.append(body.triangles + sum(map(len, vertices)))
+        triangles.append(body.triangles + sum(len(part) for part in vertices))
         vertices.append(body.vertices @ turn.T + centre)
         albedo.append(body.albedo)
     return Solid(np.concatenate(vertices), np.concatenate(triangles), np.concatenate(albedo))

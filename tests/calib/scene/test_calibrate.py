@@ -77,8 +77,23 @@ def test_a_picture_of_another_size_is_named(stations: list[ThingStation]) -> Non
         calibrated([(matches, picture[:100])] * 3)
 
 
-def test_a_rig_that_explains_keypoints_alone_is_refused() -> None:
-    """Three of five stations have a few keypoints in common, which a focal length shorter by a third explains."""
+def test_three_of_five_stations_are_right_though_pictures_connect_no_more() -> None:
+    """Few keypoints connect them, which a focal length shorter by a third explains nearly as well."""
+    stations = thing_stations([0, 1, 2, 3, 4], CAMERA, seed=1, steps=24, tip_deg=25.0)
+    found = calibrated(captures_of(stations))
+    focal, sigma = found.calibration.camera.focal_px[0], found.calibration.sigma.camera.focal_px
+    assert sigma is not None
+    error = abs(focal / stations[0].calibration.camera.focal_px[0] - 1)
+    assert 1e-6 < error < min(4 * sigma[0] / focal, 5e-3)
+
+
+def test_a_zoom_that_moved_between_stations_is_refused(stations: list[ThingStation]) -> None:
+    zoomed = []
+    for number, station in enumerate(stations[:4]):
+        pixels = station.matches.projector_px
+        middle = (np.array(PROJECTOR) - 1) / 2
+        larger = middle + (1 + 0.03 * number) * (pixels - middle)
+        zoomed.append((Matches(station.matches.camera_px, larger, None, station.matches.sigma_px), station.picture))
     with pytest.raises(RefusalError) as refusal:
-        calibrated(captures_of(thing_stations([0, 1, 2, 3, 4], CAMERA, seed=1, steps=24, tip_deg=25.0)))
+        calibrated(zoomed)
     assert refusal.value.finding.kind in (APART, NO_COMMON_POINTS)

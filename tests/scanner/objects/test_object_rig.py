@@ -61,9 +61,13 @@ def test_two_captures_are_refused_for_their_lack_of_a_corner(captures: tuple[lis
 
 
 def test_a_provisional_calibration_is_one_that_would_be_refused() -> None:
-    stations = thing_stations([0, 1, 2, 3], CAMERA, seed=1, steps=24)
+    """The last station is from behind, so that pictures do not connect it."""
+    stations = thing_stations([0, 1, 2, 3, 12], CAMERA, seed=1, steps=24)
     captures = [(Matches(s.matches.camera_px, s.matches.projector_px), s.picture) for s in stations]
     centre = PrincipalPoint(((CAMERA[0] - 1) / 2, (CAMERA[1] - 1) / 2), 0.03 * CAMERA[0])
     found = calibrate_scene(captures, CAMERA, PROJECTOR, principal_point=centre, provisional=True)
+    assert found.stations == (0, 1, 2, 3)
+    assert found.leaves_open is not None
+    assert found.leaves_open.finding.kind == ONE_AXIS
     truth = stations[0].calibration.camera.focal_px[0]
     assert 1e-6 < abs(found.calibration.camera.focal_px[0] / truth - 1) < 0.1
