@@ -33,6 +33,7 @@ _CENTRE_SIGMA_OF_WIDTH = 0.03
 
 _MOST_EARLIER = 64
 # For cameras that take a second or more per frame.
+_WHOLE = "principal_point"  # a section whose keys exclude each other
 _PRESET_OF_SLOW: PresetName = "quick"
 # In a recording's `capture.yaml`.
 CONFIGURATION_KEY = "configuration"
@@ -116,6 +117,17 @@ class Config(Settings):
             )
             for camera, projector in own.pairs
         }
+
+    def of_device(self, name: str) -> "Config":
+        """The configuration with the keys in which a network's device of that name differs; itself if none does.
+
+        Raises InputError if settings of the device are invalid.
+        """
+        own = {} if self.rigs is None else self.rigs.cameras.get(name) or self.rigs.projectors.get(name)
+        if not own:
+            return self
+        common = self.model_dump(mode="json", exclude_unset=True, by_alias=True, exclude={"rigs"})
+        return validate(Config, _merged(common, own), f"rigs: {name}")
 
     @property
     def camera_size(self) -> Size:
@@ -229,8 +241,12 @@ def _apply(override: str, data: dict[str, Any]) -> None:
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return one section with the keys of another in their places, at any depth."""
-    both = {key: _merged(base[key], value) for key, value in changes.items() if _are_sections(base.get(key), value)}
+    """Return one section with the keys of another in their places, at any depth but that of a principal point."""
+    both = {
+        key: _merged(base[key], value)
+        for key, value in changes.items()
+        if key != _WHOLE and _are_sections(base.get(key), value)
+    }
     return {**base, **changes, **both}
 
 

@@ -1,11 +1,13 @@
 """Captures of pairs → one estimate of all devices, and one cloud from all rays."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.geometry import Size
 from calib.networks import Joined, NetworkEstimate, estimate_network, joined
+from calib.refinement import LensPrior
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.networks.captures import Captures
@@ -59,14 +61,13 @@ def solve_network(captures: Captures, known: KnownDistance | None, config: Confi
     """Raises RefusalError if no corner calibrates a pair, or a device does not connect; InputError."""
     matches = {pair: capture.matches for pair, capture in captures.decoded.items()}
     cameras, projectors = ({pair[role]: captures.sizes[pair[role]] for pair in matches} for role in (0, 1))
-    lenses = lenses_by_name(config, cameras, projectors)
-    points = {name: config.principal_point(size) for name, size in cameras.items()}
+    points = {name: config.of_device(name).principal_point(size) for name, size in cameras.items()}
     with progress.step("Calibrating all devices together"):
         estimate = estimate_network(
             matches,
             captures.sizes,
             squareness_deg=config.corner.squareness_deg,
-            lenses=lenses,
+            lenses=lenses_of_devices(config, cameras, projectors),
             points=points,
             shifts={pair: shifts_of(capture) for pair, capture in captures.decoded.items()},
         )
@@ -83,3 +84,21 @@ def solve_network(captures: Captures, known: KnownDistance | None, config: Confi
         }
     ends_known = None if known is None else (known.first, known.second)
     return SolvedNetwork(captures, estimate, surfaces, factor, unit, ends_known)
+
+
+def lenses_of_devices(
+    config: Config, cameras: Mapping[str, Size], projectors: Mapping[str, Size]
+) -> dict[str, LensPrior]:
+    """Lens priors, projectors' with their principal points, by what is said of all devices and of each.
+
+    Raises InputError as `lenses_by_name`.
+    """
+    lenses = lenses_by_name(config, cameras, projectors)
+    for name, size in {**cameras, **projectors}.items():
+        own = config.of_device(name)
+        if own.lens != config.lens:
+            device = {name: size}
+            lenses |= lenses_by_name(own, device if name in cameras else {}, device if name in projectors else {})
+        elif name in projectors:
+            lenses[name] = replace(lenses[name], point=own.projector_point(size))
+    return lenses
