@@ -72,7 +72,7 @@ def write_colmap(
     Raises InputError if a file exists and may not be replaced.
     """
     names = COLMAP_FILES if covariance is None else (*COLMAP_FILES, COVARIANCE_FILE)
-    for name in names:
+    for name in (*COLMAP_FILES, COVARIANCE_FILE):
         refuse_existing(folder / name, overwrite=overwrite)
     chosen = [(scan, place, *_evenly(scan.pixel, most_points // len(scans))) for scan, place in scans]
     every = [_Chosen(scan, place, points) for scan, place, points, _ in chosen]
@@ -83,6 +83,8 @@ def write_colmap(
         for path, lines in zip(paths, contents, strict=True):
             with path.open("w", encoding="utf-8") as file:
                 file.writelines(f"{line}\n" for line in lines)
+    if covariance is None:
+        (folder / COVARIANCE_FILE).unlink(missing_ok=True)  # of another calibration
     return ModelSize(sum(len(each.points) for each in every), max(step for *_, step in chosen))
 
 

@@ -41,11 +41,13 @@ def write_mrcal(
     }
     if covariance is not None:
         contents[COVARIANCE_FILE] = covariance.lines
-    for name in contents:
+    for name in {*contents, COVARIANCE_FILE}:
         refuse_existing(folder / name, overwrite=overwrite)
     with new_files(folder, tuple(contents), overwrite=overwrite) as paths:
         for path, lines in zip(paths, contents.values(), strict=True):
             path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    if covariance is None:
+        (folder / COVARIANCE_FILE).unlink(missing_ok=True)  # of another calibration
 
 
 def _model(name: str, device: Intrinsics, pose: Pose, unit: str) -> list[str]:

@@ -168,3 +168,12 @@ def test_models_of_mrcal_project_the_cloud_to_its_pixels(written: Written, tmp_p
     for model, pixels in ((camera, scan.matches.camera_px), (projector, scan.matches.projector_px)):
         off = np.linalg.norm(model.project(points) - pixels[::50], axis=1)
         assert 1e-3 < np.median(off) < 0.2
+
+
+@pytest.mark.parametrize("to", ["mrcal", "colmap"])
+def test_another_calibrations_covariance_does_not_stay(written: Written, tmp_path: Path, to: str) -> None:
+    out = exported(written, to, tmp_path / "out")
+    assert (out / "covariance.txt").exists()
+    plain = write_result(tmp_path / "room")
+    assert main(["export", str(plain.folder), "--to", to, "--out", str(out), "--quiet", "--overwrite"]) == 0
+    assert not (out / "covariance.txt").exists()
