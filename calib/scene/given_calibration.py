@@ -35,6 +35,8 @@ class LineTest:
     """What matches say of it."""
     change: RigChange
     """What leads from the calibration to them."""
+    usual_px: float
+    """The excess that good calibrations leave."""
 
     @property
     def excess_px(self) -> float:
@@ -46,6 +48,11 @@ class LineTest:
         """Whether chance, or a decoder's smooth errors, explain how far rays miss each other."""
         return not self.change.is_significant or self.excess_px < _SMOOTH_PX
 
+    @property
+    def is_usual(self) -> bool:
+        """Whether rays miss each other by no more than they do under good calibrations."""
+        return self.holds or self.excess_px < self.usual_px
+
 
 def compare_with_lines(
     calibration: Calibration, stated: Uncertainty | None, captures: Sequence[Matches], count: int
@@ -55,7 +62,8 @@ def compare_with_lines(
     covariance = np.zeros((SHARED, SHARED)) if stated is None else stated.covariance
     lines = rig_by_lines(given, matches)
     precision = lines.information @ np.linalg.inv(np.eye(SHARED) + covariance @ lines.information)
-    return LineTest(lines, explain_change(lines.step, precision))
+    least_px = calibration.projector.width * (_LEAST_UNSTATED if stated is None else _LEAST)
+    return LineTest(lines, explain_change(lines.step, precision), max(_LEAST_PX, least_px))
 
 
 def find_change(
@@ -68,8 +76,7 @@ def find_change(
     if sum(map(len, captures)) < _FEWEST:
         return ()
     test = compare_with_lines(calibration, stated, captures, _QUICK)
-    least_px = calibration.projector.width * (_LEAST_UNSTATED if stated is None else _LEAST)
-    if test.holds or test.excess_px < max(_LEAST_PX, least_px):
+    if test.is_usual:
         return ()
     lines = test.lines
     message = (

@@ -131,6 +131,9 @@ def _verdict_by_lines(test: LineTest, refusal: RefusalError) -> Verdict:
     )
     if test.holds:
         return Verdict("good", "The calibration holds, as far as rays that meet can tell.", reasons, _FOR_MORE)
+    if test.is_usual:
+        headline = "The calibration nearly holds: rays miss each other by no more than good calibrations leave."
+        return Verdict("fair", headline, (f"{test.change}.", *reasons), _FOR_MORE)
     headline = "The calibration does not hold: rays do not meet."
     return Verdict("refused", headline, (f"{test.change}.", *reasons), _FOR_MORE)
 

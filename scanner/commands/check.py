@@ -92,7 +92,11 @@ def _check_calibration(args: CheckCommand) -> int:
             return 0
     if verdict.advice:
         terminal.show(f"→ {verdict.advice}")
-    return EXIT_DIFFERENT if verdict.grade == "refused" else 0
+    if verdict.grade == "refused":
+        return EXIT_DIFFERENT
+    if not is_enough(verdict.grade, args.require):
+        raise GradeError(f"the calibration is {verdict.grade}, and --require {args.require} asks for better")
+    return 0
 
 
 def _write(path: Path, report: CheckReport) -> str:

@@ -94,6 +94,25 @@ def test_one_capture_of_anything_tells_whether_rays_meet(tmp_path: Path, capsys:
     assert 0.095 < float(turned.group(1)) < 0.105
 
 
+def test_what_good_calibrations_leave_is_told_and_nearly_holds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("open3d", exc_type=ImportError)
+    (station,) = turned_stations(1, (306, 256), seed=3)
+    truth = station.calibration
+    write_matches(tmp_path / "thing.npz", station.matches)
+    turn = Pose(rotation_about(np.radians([0.01, 0.0, 0.0])) @ truth.pose.rotation, truth.pose.translation)
+    write_calibration(tmp_path / "turned.yaml", replace(truth, pose=turn))
+    asked = ["check", str(tmp_path / "thing.npz"), "--calibration", str(tmp_path / "turned.yaml")]
+    assert main([*asked, "--require", "fair"]) == 0
+    shown = capsys.readouterr().out
+    assert "The calibration nearly holds: rays miss each other by no more than good calibrations leave." in shown
+    turned = re.search(r"A change of the rotation between them by ([0-9.]+)°", shown)
+    assert turned is not None
+    assert 0.008 < float(turned.group(1)) < 0.012
+    assert main([*asked, "--require", "good"]) == 4
+
+
 def test_a_rig_takes_the_capture_that_checks_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("open3d", exc_type=ImportError)
     text = (
