@@ -60,7 +60,9 @@ Y_AND_FINE_FIRST = [
 def test_photographs_are_recognised_whose_tone_curve_brightens_blurred_stripes(
     camera: Photographer, tmp_path: Path, patterns: list[Pattern], blur_px: float
 ) -> None:
-    """The finest bits are left out where the others decode only without them."""
+    """The finest bits are left out where the others decode only without them: at 1 px, which of both depends on how
+    OpenCV rounds on a processor.
+    """
     brighter = np.rint(255 * np.linspace(0, 1, 256) ** (1 / 2.2)).astype(np.uint8)
 
     def developed(image: Image) -> Image:
@@ -68,8 +70,8 @@ def test_photographs_are_recognised_whose_tone_curve_brightens_blurred_stripes(
 
     source = camera.write(tmp_path / "frames", patterns, named("{}.png"), developed)
     assert imported(source, "--projector", "640x480", "--out", tmp_path / "out") == 0
-    decoded = patterns if blur_px < 1 else without_finest(patterns, 1)
-    assert list(open_capture(tmp_path / "out").patterns) == decoded
+    possible = [patterns] if blur_px < 1 else [patterns, without_finest(patterns, 1)]
+    assert list(open_capture(tmp_path / "out").patterns) in possible
 
 
 def without_finest(patterns: list[Pattern], count: int) -> list[Pattern]:
