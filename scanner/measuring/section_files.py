@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.numerics import Floats
 from scanner.measuring.sections import Contour
 from scanner.quantities import UNKNOWN_UNIT, shown_unit, unit_name
 
 SECTION_FILES = ("section.csv", "section.svg", "section.dxf")
 _WIDTH, _MARGIN, _LINE = 900, 40, 24
+_NUMBER = 20.0, 14.0  # width and height of a contour's number
 _NAMED = 12  # lengths that a drawing names
 _UNITS = {"in": 1, "ft": 2, "mm": 4, "cm": 5, "m": 6}  # $INSUNITS; 0 is none
 
@@ -34,6 +36,7 @@ def write_section_svg(path: Path, contours: Sequence[Contour], unit: str) -> Non
     height = scale * float(extent[1]) + 2 * _MARGIN
     longest = sorted(enumerate(contours, start=1), key=lambda pair: -pair[1].length)[:_NAMED]
     shown = shown_unit(unit)
+    numbers: list[tuple[float, float]] = []
     with path.open("w", encoding="utf-8") as file:
         whole = height + _LINE * len(longest)
         file.write(
@@ -47,11 +50,26 @@ def write_section_svg(path: Path, contours: Sequence[Contour], unit: str) -> Non
             steps = " L".join(f"{a:.2f} {b:.2f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
             file.write(f'<path d="M{steps}{" Z" if contour.is_closed else ""}"/>\n')
             if any(number == other for other, _ in longest):
-                file.write(f'<text x="{x[0]:.1f}" y="{y[0]:.1f}">{number}</text>\n')
+                numbers.append(_free_place(np.stack([x, y], axis=1), numbers))
+                across, down = numbers[-1]
+                file.write(f'<text x="{across:.1f}" y="{down:.1f}">{number}</text>\n')
         for line, (number, contour) in enumerate(longest, start=1):
             words = f"{number}: {shown.length(contour.length, contour.sigma)} ({contour.plane.name} {unit_name(unit)})"
             file.write(f'<text x="{_MARGIN}" y="{height + _LINE * line - 8:.0f}">{words}</text>\n')
         file.write("</svg>\n")
+
+
+def _free_place(contour: Floats, others: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """A place (2,) for a number: the point of its contour (N, 2) that is furthest from other numbers, or below it where
+    these are as near as that.
+    """
+    if not others:
+        return float(contour[0, 0]), float(contour[0, 1])
+    apart = np.linalg.norm(contour[:, None] - np.array(others), axis=2).min(axis=1)
+    across, down = contour[np.argmax(apart)].tolist()
+    while min(max(abs(across - x) / _NUMBER[0], abs(down - y) / _NUMBER[1]) for x, y in others) < 1:
+        down += _NUMBER[1] / 2
+    return across, down
 
 
 def write_section_dxf(path: Path, contours: Sequence[Contour], unit: str) -> None:

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from calib.diagnostics import SystematicErrors, Uncertainty
 from calib.refinement import SHARED, State, device_of
@@ -12,6 +14,7 @@ from scanner.cleaning import read_cleaned
 from scanner.commands import main
 from scanner.exporting import Mesh
 from scanner.measuring import rig_errors
+from scanner.measuring.section_files import _free_place
 from scanner.measuring.sections import cut, parse_plane, section_lines
 from tests.support.cloud_scene import SPHERE_RADIUS_M
 from tests.support.result_folder import Written, write_result
@@ -119,3 +122,12 @@ def test_mistakes_are_named(
     assert run(written.folder, tmp_path / "s", *options) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "s").exists()
+
+
+@given(st.lists(st.lists(st.tuples(st.integers(0, 900), st.integers(0, 600)), min_size=1, max_size=6), max_size=12))
+def test_numbers_of_contours_do_not_lie_over_each_other(contours: list[list[tuple[int, int]]]) -> None:
+    places: list[tuple[float, float]] = []
+    for contour in contours:
+        places.append(_free_place(np.array(contour, np.float64), places))
+    for k, (x, y) in enumerate(places):
+        assert all(abs(x - a) >= 19.9 or abs(y - b) >= 13.9 for a, b in places[:k])
