@@ -78,11 +78,11 @@ def test_captures_of_two_rigs_name_what_differs(device: str, name: str) -> None:
     finding = caught.value.finding
     assert finding.kind == RIG_CHANGED
     assert finding.data["captures"] in ((1, 3), (2, 3))
-    found = re.search(r"change of (.*) by ([\d.]+) % \((\d+) sigmas\)", finding.message)
+    found = re.search(r"change of (.*) by ([\d.]+) % ± ([\d.]+) %", finding.message)
     assert found
     assert found[1] == name
     assert 1.9 < float(found[2]) < 2.1
-    assert 50 < float(found[3]) < 2000
+    assert 50 < float(found[2]) / float(found[3]) < 2000
 
 
 def test_captures_that_no_common_corner_fits_get_angles_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
