@@ -1,18 +1,20 @@
 """A command: a dataclass whose fields are its options, and whose docstring says what it does."""
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import MISSING, Field, dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType, NoneType
 from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args, get_type_hints
 
+from scanner.errors import InputError
 from scanner.viewing import DEFAULT_PORT, LOCAL
 
 if TYPE_CHECKING:
     from scanner.configuration import Config
 
+NO_FILE = "cannot be read: no such file"
 REQUIRED_GRADES = ("good", "fair")  # the best first
 
 
@@ -21,9 +23,10 @@ def is_enough(grade: str | None, required: str | None) -> bool:
     return required is None or grade in REQUIRED_GRADES[: 1 + REQUIRED_GRADES.index(required)]
 
 
-def argument(metavar: str, text: str, *, nargs: str | None = None) -> Any:
-    """A field that is given by its place."""
-    return field(metadata={"words": (), "metavar": metavar, "help": text, **({"nargs": nargs} if nargs else {})})
+def argument(metavar: str, text: str, *, nargs: str | None = None, existing: str | None = None) -> Any:
+    """A field that is given by its place; `existing`: a path, and what is said of it where there is nothing."""
+    words = {"words": (), "metavar": metavar, "help": text, **({"nargs": nargs} if nargs else {})}
+    return field(metadata=words | ({"existing": existing} if existing else {}))
 
 
 def option(
@@ -34,7 +37,9 @@ def option(
     flag: str | None = None,
     **more: Any,
 ) -> Any:
-    """A field that is given by its name, or by another `flag`; `more`: of `ArgumentParser.add_argument`."""
+    """A field that is given by its name, or by another `flag`; `more`: of `ArgumentParser.add_argument`, and `existing`
+    as of `argument`.
+    """
     words = {"words": (flag,) if flag else None, "help": text, **({"metavar": metavar} if metavar else {}), **more}
     if more.get("required"):
         return field(metadata=words)
@@ -83,6 +88,22 @@ class Options:
             else:
                 _declare(parser, each, hints[each.name], words | (changed or {}).get(each.name, {}))
 
+    def refuse_missing(self) -> None:
+        """Raise InputError for a path at which there should be something and is nothing: before what the work needs is
+        imported, which takes a second.
+        """
+        for said in self._missing():
+            raise InputError(said)
+
+    def _missing(self) -> Iterator[str]:
+        for each in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, each.name)
+            if each.metadata.get("part"):
+                yield from value._missing()
+            elif said := each.metadata.get("existing"):
+                paths = value if isinstance(value, list) else [value]
+                yield from (f"{path}: {said}" for path in paths if isinstance(path, Path) and not _is_there(path))
+
     @classmethod
     def of(cls, args: Namespace) -> Self:
         """The options that a parser has found."""
@@ -90,9 +111,21 @@ class Options:
         return cls(**{name: part.of(args) if part else getattr(args, name) for name, part in parts.items()})
 
 
+def _is_there(path: Path) -> bool:
+    """Whether there is something, or may be."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except (OSError, ValueError):
+        return True  # whoever reads it says why that cannot be done
+    return True
+
+
 def _declare(parser: ArgumentParser, of: "Field[Any]", hint: Any, words: dict[str, Any]) -> None:
     """Add an option with the type and the default of a field."""
     flags = words.pop("words")
+    words.pop("existing", None)
     if flags == ():
         flags = (of.name,)
     else:
@@ -153,7 +186,7 @@ class Command(Options):
 class ConfigOptions(Options):
     """The configuration: a file, and keys that override it."""
 
-    config: Path | None = option("configuration (YAML)", "FILE")
+    config: Path | None = option("configuration (YAML)", "FILE", existing=NO_FILE)
     set: list[str] = option("override a key, as in camera.width=640", "KEY=VALUE", default=[], action="append")
 
     @property

@@ -55,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             name, rest = choose_command(given)
             args = parser_of(name).parse_args(rest)
             options = _command(name).of(args)
+            options.refuse_missing()
             _require_address_space()
             options.module()
             on_ending(interrupt)

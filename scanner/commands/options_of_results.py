@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from scanner.commands.command import Address, Command, argument, count, declared, option, switch
+from scanner.commands.command import NO_FILE, Address, Command, argument, count, declared, option, switch
 from scanner.exporting import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS
 
 _RESULT = "folder of a scan's result"
+_NO_RESULT = "expected a result folder, found nothing"
 _QUIET = "print nothing but errors"
 _CAPTURE = "one capture or station of several, by its number (default: all of them)"
 
@@ -50,7 +51,7 @@ and views show what they leave; the cloud in the result stays as it was measured
 Without a step, those of the result are listed. Lengths may have a unit, as in 5cm; without one, they are in the
 result's. A value that begins with a minus sign is given as --box=-0.5m,…
 """
-    result: Path = argument("RESULT", _RESULT)
+    result: Path = argument("RESULT", _RESULT, existing=_NO_RESULT)
     steps: list[tuple[str, object]] | None = declared(_declare_steps)
     """By name, each with its parameter, in the order of the command line."""
     undo: bool = switch("take the last step back")
@@ -61,7 +62,7 @@ result's. A value that begins with a minus sign is given as --box=-0.5m,…
 class ExportCommand(Command):
     """Write a result in another program's format and conventions."""
 
-    result: Path = argument("RESULT", _RESULT)
+    result: Path = argument("RESULT", _RESULT, existing=_NO_RESULT)
     to: str = option(
         "; ".join(f"{name}: {target.about}" for name, target in FORMATS.items()),
         "FORMAT",
@@ -89,7 +90,7 @@ class MeasureCommand(Command):
 The faces are always measured. --sphere finds a ball of known diameter anywhere in the cloud; given twice, it finds two,
 and measures the distance of their centres, too.
 """
-    result: Path = argument("RESULT", _RESULT)
+    result: Path = argument("RESULT", _RESULT, existing=_NO_RESULT)
     sphere: list[str] = option(
         "find and fit a ball, as in 50.8mm; without a unit, in the result's", "DIAMETER", default=[], action="append"
     )
@@ -115,7 +116,7 @@ class SectionCommand(Command):
 A plane is across an axis of the cloud, as in z=1.2m, or a normal and an offset, as in 0,0.6,0.8,1.2m. --every repeats
 it through the whole surface. A contour is drawn through the points within two of their sigmas.
 """
-    result: Path = argument("RESULT", _RESULT)
+    result: Path = argument("RESULT", _RESULT, existing=_NO_RESULT)
     plane: list[str] = option("plane to cut at, as in z=1.2m; may be given again", "PLANE", default=[], action="append")
     every: str | None = option("repeat each plane at this interval, as in 10cm", "INTERVAL")
     capture: int | None = count(_CAPTURE)
@@ -132,7 +133,7 @@ class AcceptCommand(Command):
 Probing, sphere-spacing and flatness errors. Scan the ball bar in several places, with the rig unchanged, and give all
 the results: the largest errors count.
 """
-    results: list[Path] = argument("RESULT", "folders of scans' results", nargs="+")
+    results: list[Path] = argument("RESULT", "folders of scans' results", nargs="+", existing=_NO_RESULT)
     ball_bar: str = option(
         "calibrated diameters and distance of the centres, as in 50.02mm,50.01mm,200.13mm",
         "D1,D2,LENGTH",
@@ -149,7 +150,7 @@ the results: the largest errors count.
 class ViewCommand(Command):
     """Look at a result in 3-D, in the browser."""
 
-    result: Path = argument("RESULT", _RESULT)
+    result: Path = argument("RESULT", _RESULT, existing=_NO_RESULT)
     address: Address = Address.part()
 
 
@@ -162,8 +163,8 @@ Differences are in projector pixels and as lengths, over the camera's picture an
 alignment. Exit codes: 0 if they agree, or neither states a covariance; 1 if they differ by more than their standard
 deviations allow.
 """
-    first: Path = argument("CAL_A", "calibration.yaml, or the folder of a result")
-    second: Path = argument("CAL_B", "calibration.yaml, or the folder of a result")
+    first: Path = argument("CAL_A", "calibration.yaml, or the folder of a result", existing=NO_FILE)
+    second: Path = argument("CAL_B", "calibration.yaml, or the folder of a result", existing=NO_FILE)
     depths: str | None = option(
         "depths to compare at, as in 1m,2m,3m (default: those of CAL_A's scene, or where both axes meet)", "D1,D2,…"
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from scanner.commands.command import (
+    NO_FILE,
     Address,
     Command,
     ConfigOptions,
@@ -88,9 +89,10 @@ captures do not suffice for an update, which changes nothing.
         "CAPTURE",
         "with --calibration: recorded capture, result or matches.npz of the rig (default: one is taken)",
         nargs="*",
+        existing="no such matches file, result or capture",
     )
     settings: ConfigOptions = with_settings()
-    calibration: Path | None = option("the calibration to check", "FILE")
+    calibration: Path | None = option("the calibration to check", "FILE", existing=NO_FILE)
     update: bool = switch("with --calibration: estimate it anew from the captures and itself, and keep both")
     write: bool = switch("put the exposure and the projector's response into the configuration file")
     watch: float = option(
@@ -109,7 +111,9 @@ class ConsoleCommand(Command):
     """Check, scan and look at results on a page in the browser."""
 
     settings: ConfigOptions = with_settings(required=True)
-    calibration: Path | None = option("for live clouds: of the rig (default: the newest result's)", "FILE")
+    calibration: Path | None = option(
+        "for live clouds: of the rig (default: the newest result's)", "FILE", existing=NO_FILE
+    )
     address: Address = Address.part()
 
 
@@ -122,7 +126,7 @@ Six frames make a cloud: two fringes of three steps along one axis. What moves t
 keeps a cloud; scan object OUT or scan room OUT joins them. Ctrl-C ends; kept clouds stay.
 """
     settings: ConfigOptions = with_settings(required=True)
-    calibration: Path = option("known calibration of the rig", "FILE", required=True)
+    calibration: Path = option("known calibration of the rig", "FILE", required=True, existing=NO_FILE)
     clouds: int | None = count("keep N clouds, then end")
     room: bool = switch("the rig moves in a room (default: a thing is moved)")
     every: str | None = option("keep a cloud at this interval, as in 2s", "TIME")
@@ -138,7 +142,11 @@ keeps a cloud; scan object OUT or scan room OUT joins them. Ctrl-C ends; kept cl
 class ImportCommand(Command):
     """Make a capture from another program's frames, recognising their order."""
 
-    folder: Path = argument("DIR", "folder with the frames, or a recording (mp4, mov, mkv)")
+    folder: Path = argument(
+        "DIR",
+        "folder with the frames, or a recording (mp4, mov, mkv)",
+        existing="expected a folder with images, found nothing",
+    )
     format: str | None = option("program that took the frames (default: all)", "FORMAT", flag="--from")
     projector: str | None = option("the projector's size, as in 1024x768", "WxH")
     pixel_aspect: str | None = option(

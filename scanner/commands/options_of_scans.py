@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from scanner.commands.command import (
+    NO_FILE,
     Command,
     ConfigOptions,
     Output,
@@ -20,6 +21,8 @@ from scanner.commands.command import (
 
 _INSTEAD = "known calibration of the rig, used instead of calibrating"
 _MASKS = "three PNG of the camera's size, nonzero on a face"
+_NO_CAPTURE, _NO_MATCHES = "no such capture folder", "no such matches file, result or capture"
+_NO_STATION = "no such file or folder; a station is a recorded capture, a result or a matches.npz"
 _FILL = "close the thing's surface where no station saw it"
 
 
@@ -59,9 +62,9 @@ class ScanCommand(Command):
 class ReplayCommand(Command):
     """Reconstruct from a recorded capture, also of another program."""
 
-    capture: Path = argument("CAPTURE", "folder with a capture.yaml and its frames")
+    capture: Path = argument("CAPTURE", "folder with a capture.yaml and its frames", existing=_NO_CAPTURE)
     settings: ConfigOptions = with_settings()
-    calibration: Path | None = option(_INSTEAD, "FILE")
+    calibration: Path | None = option(_INSTEAD, "FILE", existing=NO_FILE)
     masks: Path | None = option(_MASKS, "DIR")
     output: Output = with_output("scans/<name of the capture>")
 
@@ -78,6 +81,7 @@ class CalibrateCommand(Command):
         "last, by the corner that they show or, without any, by what three or more share; one may be a result of scan "
         "board",
         nargs="+",
+        existing=_NO_MATCHES,
     )
     settings: ConfigOptions = with_settings(required=True)
     output: Output = with_output()
@@ -98,7 +102,7 @@ what is left is done. Sources and --out may be remote, as in s3://bucket/folder.
         nargs="+",
     )
     settings: ConfigOptions = with_settings()
-    calibration: str | None = option(_INSTEAD, "FILE")  # may be remote, as the captures
+    calibration: str | None = option(_INSTEAD, "FILE", existing=NO_FILE)  # may be remote, as the captures
     out: str = option("folder of the results and of their table", "DIR", required=True)
     workers: int | None = count("processes (default: one for each processor)")
     memory: str | None = option("memory of each process, as in 4GB (default: an equal share)", "SIZE")
@@ -139,7 +143,9 @@ different distances, so that together the captures fill both pictures. Move noth
 Exit codes: 2 if the board is not found; 4 if these boards do not determine a calibration, with the reason.
 """
 
-    captures: list[Path] = argument("CAPTURE", "folder with a capture.yaml, or with several of those", nargs="*")
+    captures: list[Path] = argument(
+        "CAPTURE", "folder with a capture.yaml, or with several of those", nargs="*", existing=_NO_CAPTURE
+    )
     board: str | None = option(
         "chessboard:9x7 (inner corners), charuco:6x9 (squares), aprilgrid:6x6 (tags), circles:7x5 or acircles:4x11 "
         "(dots)",
@@ -170,10 +176,14 @@ are named and left out. To take stations: scan --config FILE --stations N.
 Exit codes: 4 if no two stations belong together, or if they fit together in more than one way, with both answers.
 """
 
-    stations: list[Path] | int = argument("STATION", "captures, results or matches.npz, in any order", nargs="+")
+    stations: list[Path] | int = argument(
+        "STATION", "captures, results or matches.npz, in any order", nargs="+", existing=_NO_STATION
+    )
     """Those that exist, or how many are taken, as scan --stations does."""
     settings: ConfigOptions = with_settings(required=True)
-    calibration: Path | None = option("known calibration of the rig: no station needs a corner", "FILE")
+    calibration: Path | None = option(
+        "known calibration of the rig: no station needs a corner", "FILE", existing=NO_FILE
+    )
     output: Output = with_output()
 
 
@@ -192,6 +202,7 @@ Exit codes: 4 if no corner calibrates a pair, a device does not connect, or the 
         "CAPTURE",
         "folders named <camera>-<projector>, in any order; none to capture with the devices in rigs of --config",
         nargs="*",
+        existing="no such file or folder",
     )
     settings: ConfigOptions = with_settings()
     distance: str | None = option("known distance between two devices, as in left,stage,2.35m", "A,B,LENGTH")
@@ -213,10 +224,13 @@ stations do not determine one, or if a rotation is ambiguous, as for a ball.
 """
 
     stations: list[Path] | int = argument(
-        "STATION", "captures, results or matches.npz, in any order; a thing's folder stands for its stations", nargs="+"
+        "STATION",
+        "captures, results or matches.npz, in any order; a thing's folder stands for its stations",
+        nargs="+",
+        existing=_NO_STATION,
     )
     """Those that exist, or how many are taken, as scan --stations does."""
     settings: ConfigOptions = with_settings(required=True)
-    calibration: Path | None = option("known calibration of the rig", "FILE")
+    calibration: Path | None = option("known calibration of the rig", "FILE", existing=NO_FILE)
     fill: bool = switch(_FILL)
     output: Output = with_output()
