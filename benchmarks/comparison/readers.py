@@ -91,7 +91,7 @@ def _rows(value: Any) -> Any:
 
 def _yaml(path: Path) -> Any:
     text = _text(path)
-    if text.startswith("%YAML:"):  # OpenCV's, which PyYAML does not read
+    if text.startswith("%YAML:") or "!!opencv-matrix" in text:  # OpenCV's, which PyYAML does not read
         return numbers_apart(text)
     return yaml.safe_load(text)
 

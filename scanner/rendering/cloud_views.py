@@ -17,6 +17,7 @@ RGB = tuple[int, int, int]
 _SUPERSAMPLING = 2
 # Points per pixel of the shown picture; more would hide each other.
 _POINTS_PER_PIXEL = 1.0
+_POINT = 1e-9  # extent of what has none, as a share of its distance from the origin
 _MARGIN = 0.04
 _LINE_WIDTH_PX = 2
 _FILL_PASSES = 3
@@ -128,7 +129,10 @@ def _bounds(facing: Floats32, drawn: list[Floats]) -> tuple[Floats, Floats]:
     ends += [segments.reshape(-1, 3)[:, :2] for segments in drawn]
     everything = np.concatenate(ends)
     low, high = everything.min(axis=0), everything.max(axis=0)
-    margin = _MARGIN * float(np.max(high - low)) + np.finfo(np.float64).tiny
+    size = float(np.max(high - low))
+    if size <= _POINT * float(np.max(np.abs(everything))):  # all of it is at one place
+        size = max(float(np.max(np.abs(everything))), 1.0)
+    margin = _MARGIN * size
     return low - margin, high + margin
 
 

@@ -47,6 +47,15 @@ def test_a_square_fills_its_picture_without_gaps() -> None:
     assert red > 1.5 * green > 2 * blue
 
 
+@pytest.mark.parametrize("place", [(0.0, 0.0, 5.0), (0.0, 0.0, 0.0), (-3e6, 2.0, 1.0)])
+def test_what_has_no_extent_has_a_picture(place: tuple[float, float, float]) -> None:
+    """A single point faces some side of a thing of which little was seen."""
+    point = [np.array([[place]]), np.array([[[200, 100, 50]]]), np.array([[[0.0, 0.0, -1.0]]])]
+    picture = render(cloud_of(point), view_along(FORWARD, UP), (200, 200), [])
+    assert 0 < np.count_nonzero(picture[..., 3]) < 200
+    assert 0 < len(picture) <= 201
+
+
 def test_the_nearer_surface_hides_the_farther() -> None:
     near, far = square(3, 60, (255, 0, 0)), square(6, 120, (0, 0, 255))
     for parts in ((near, far), (far, near)):
