@@ -138,9 +138,19 @@ def test_a_rig_takes_the_capture_that_checks_it(tmp_path: Path, capsys: pytest.C
         (["check"], "scan check needs --config FILE, or captures and --calibration FILE"),
         (["check", "--calibration", "rig.yaml"], "scan check CAPTURE… --calibration FILE"),
         (["check", "capture", "--calibration", "rig.yaml", "--write"], "--write and --watch are of a check without"),
-        (["check", "capture", "--calibration", "rig.yaml"], "rig.yaml: cannot be read: no such file"),
+        (["check", "capture", "--calibration", "none.yaml"], "none.yaml: cannot be read: no such file"),
+        (["check", "none", "--calibration", "rig.yaml"], "none: no such matches file, result or capture"),
     ],
 )
-def test_what_is_missing_is_said(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_missing_is_said(
+    arguments: list[str],
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("capture").mkdir()
+    Path("rig.yaml").touch()
     assert main(arguments) == 2
     assert words in capsys.readouterr().err
