@@ -135,7 +135,7 @@ def test_interrupted_while_modules_are_loaded() -> None:
         "    def find_spec(self, name, *_):\n"
         "        if name == 'numpy.linalg': [os.kill(os.getpid(), signal.SIGINT) for _ in range(2)]\n"
         "sys.meta_path.insert(0, Strike())\n"
-        "sys.argv = ['scan', '--config', 'nowhere.yaml']\n"
+        "sys.argv = ['scan', '--config', 'configs/room-sim.yaml']\n"
         "from scanner.__main__ import run\n"
         "sys.exit(run())"
     )

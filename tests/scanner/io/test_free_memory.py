@@ -25,9 +25,11 @@ def test_a_limit_of_the_shell_counts() -> None:
 def test_a_cloud_for_a_huge_camera_is_refused_before_its_matches_are_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    matches = tmp_path / "matches.npz"
+    matches.touch()
     monkeypatch.setattr(free_memory, "free_bytes", lambda: 8_000_000_000)
     size = ("--set", "camera.width=15000", "--set", "camera.height=15000")
-    assert run("calibrate", "none.npz", "--config", "configs/room-sim.yaml", *size, "--out", tmp_path / "out") == 2
+    assert run("calibrate", matches, "--config", "configs/room-sim.yaml", *size, "--out", tmp_path / "out") == 2
     message = " ".join(capsys.readouterr().err.split())
     assert "for a camera of 15000 × 15000 pixels take about 11.2 GB of memory, and 8.0 GB are free" in message
 
