@@ -196,6 +196,13 @@ def _points(rig: State, camera_px: Floats, projector_px: Floats) -> Floats:
     return np.asarray(depth * rays, np.float64)
 
 
+def is_recognisable(warp: Floats) -> Bools:
+    """Whether what is warped so (M, 2, 2) can be recognised, (M,): seen from the front, and hardly stretched."""
+    stretch = np.linalg.svd(warp, compute_uv=False)
+    is_alike = ((stretch < _MOST_STRETCH) & (stretch > 1 / _MOST_STRETCH)).all(axis=1)
+    return np.asarray(is_alike & (np.linalg.det(warp) > 0), np.bool_)
+
+
 def _projected(rig: State, motion: Pose, patches: _Patches, view: MatchedView) -> _Projected:
     """Patches as another station sees them, without hidden ones; `motion`: X_other = R X + t."""
     places = motion @ patches.points
@@ -204,11 +211,9 @@ def _projected(rig: State, motion: Pose, patches: _Patches, view: MatchedView) -
     pixels, by_place, _ = lens.project(rig.camera, safe)
     lit_px, _, _ = lens.project(rig.projector, rig.pose @ safe)
     warp = np.where(ahead[:, None, None], by_place @ motion.rotation @ patches.tangents, 0.0)
-    stretch = np.linalg.svd(warp, compute_uv=False)
     height, width = view.brightness.shape
     inside = ((pixels > _HALF) & (pixels < np.array([width, height]) - 1 - _HALF)).all(axis=1)
-    alike = ((stretch < _MOST_STRETCH) & (stretch > 1 / _MOST_STRETCH)).all(axis=1) & (np.linalg.det(warp) > 0)
-    number = np.flatnonzero(ahead & inside & alike)
+    number = np.flatnonzero(ahead & inside & is_recognisable(warp))
     if len(number):
         lifted = lift(view.places, pixels[number])
         off = np.abs(lifted.projector_px - lit_px[number]).max(axis=1)

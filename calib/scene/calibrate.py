@@ -91,7 +91,7 @@ AMBIGUOUS = FindingKind(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SceneCalibration:
     """A calibration from stations of an unchanged rig before a rigid scene, in baselines."""
 
@@ -99,16 +99,26 @@ class SceneCalibration:
     uncertainty: Uncertainty
     stations: tuple[int, ...]
     """The numbers of those that share points with others."""
-    poses: tuple[Pose, ...]
-    """Of each of them, X_station = R X_first + t."""
-    points: int
-    """Points of the scene that two or more stations share."""
-    keypoint: float
-    """By which keypoints are off, in their standard deviations."""
-    next_station: NextStation | None
-    """The turn that would help most; None where points would be out of sight after any."""
+    problem: SceneProblem
+    """What was adjusted."""
+    fit: SceneFit
+    """Its solution."""
     leaves_open: RefusalError | None = None
     """What these stations do not determine, where that was asked for as a start."""
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        """Of each of the stations, X_station = R X_first + t."""
+        return self.fit.scene.stations
+
+    @property
+    def points(self) -> int:
+        """Points of the scene that two or more stations share."""
+        return len(self.fit.scene.points)
+
+    def next_station(self) -> NextStation | None:
+        """The turn that would help most; None where points would be out of sight after any."""
+        return best_next_station(self.problem, self.fit, self.uncertainty.covariance)
 
 
 def calibrate_scene(
@@ -224,15 +234,7 @@ def _concluded(
     rig, covariance = fit.scene.rig, problem.covariance(fit)
     calibration = calibration_of(rig, *sizes, sigmas_of(rig, covariance))
     uncertainty = Uncertainty(rig, covariance, None, problem.spread.matches * _usual(problem.matches))
-    return SceneCalibration(
-        calibration,
-        uncertainty,
-        stations,
-        fit.scene.stations,
-        len(fit.scene.points),
-        problem.spread.keypoint,
-        best_next_station(problem, fit, covariance),
-    )
+    return SceneCalibration(calibration, uncertainty, stations, problem, fit)
 
 
 def _refuse_apart(problem: SceneProblem) -> None:

@@ -13,13 +13,12 @@ from calib.geometry import Pose, rotation_about
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR
-from calib.scene.alignment import surface_at
+from calib.scene.alignment import is_recognisable, surface_at
 from calib.scene.bundle import ANYWHERE_PX, RigidScene, SceneFit, SceneObservations, evaluate
 from calib.scene.problem import FEWEST_POINTS, SceneProblem
 
 TURN_DEG = 20.0
 _INTRINSIC = np.array([CAMERA.start + k for k in range(3)] + [PROJECTOR.start + k for k in range(3)])
-_MOST_STRETCH = 2.5  # of the picture around a point that can be recognised
 
 
 @dataclass(frozen=True)
@@ -79,9 +78,7 @@ def _predicted(problem: SceneProblem, fit: SceneFit, turned: Pose) -> SceneObser
     camera_px, by_place, _ = lens.project(scene.rig.camera, safe)
     projector_px, by_lit, _ = lens.project(scene.rig.projector, scene.rig.pose @ safe)
     warp, lit = by_place @ tangents, by_lit @ scene.rig.pose.rotation @ tangents
-    stretch = np.linalg.svd(warp, compute_uv=False)
-    visible = ahead & (np.linalg.det(warp) > 0) & (stretch < _MOST_STRETCH).all(axis=1)
-    visible &= (stretch > 1 / _MOST_STRETCH).all(axis=1)
+    visible = ahead & is_recognisable(warp)
     for pixels, used in ((camera_px, problem.matches.camera_px), (projector_px, problem.matches.projector_px)):
         visible &= ((pixels > used.min(axis=0)) & (pixels < used.max(axis=0))).all(axis=1)
     slope = lit[visible] @ np.linalg.inv(warp[visible])

@@ -1,13 +1,11 @@
 """Captures of pairs → one estimate of all devices, and one cloud from all rays."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Size
 from calib.networks import Joined, NetworkEstimate, estimate_network, joined
-from calib.refinement import LensPrior
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.networks.captures import Captures
@@ -67,7 +65,7 @@ def solve_network(captures: Captures, known: KnownDistance | None, config: Confi
             matches,
             captures.sizes,
             squareness_deg=config.corner.squareness_deg,
-            lenses=lenses_of_devices(config, cameras, projectors),
+            lenses=lenses_by_name(config, cameras, projectors),
             points=points,
             shifts={pair: shifts_of(capture) for pair, capture in captures.decoded.items()},
         )
@@ -84,21 +82,3 @@ def solve_network(captures: Captures, known: KnownDistance | None, config: Confi
         }
     ends_known = None if known is None else (known.first, known.second)
     return SolvedNetwork(captures, estimate, surfaces, factor, unit, ends_known)
-
-
-def lenses_of_devices(
-    config: Config, cameras: Mapping[str, Size], projectors: Mapping[str, Size]
-) -> dict[str, LensPrior]:
-    """Lens priors, projectors' with their principal points, by what is said of all devices and of each.
-
-    Raises InputError as `lenses_by_name`.
-    """
-    lenses = lenses_by_name(config, cameras, projectors)
-    for name, size in {**cameras, **projectors}.items():
-        own = config.of_device(name)
-        if own.lens != config.lens:
-            device = {name: size}
-            lenses |= lenses_by_name(own, device if name in cameras else {}, device if name in projectors else {})
-        elif name in projectors:
-            lenses[name] = replace(lenses[name], point=own.projector_point(size))
-    return lenses

@@ -29,15 +29,21 @@ def lenses_of(config: Config, camera_size: Size, projector_size: Size) -> tuple[
 
 
 def lenses_by_name(config: Config, cameras: Mapping[str, Size], projectors: Mapping[str, Size]) -> dict[str, LensPrior]:
-    """Return the lens priors of devices, given their image sizes; projectors' with their principal points.
+    """Return the lens priors of devices, given their image sizes; projectors' with their principal points. What the
+    configuration says of one device goes before what it says of all.
 
     Raises InputError if a named calibration fits none of them, or does not state sigmas of its lens terms; or if a
     known principal point does not fit.
     """
     lenses = _lenses_alone(config, cameras, projectors)
-    return lenses | {
-        name: replace(lenses[name], point=config.projector_point(size)) for name, size in projectors.items()
-    }
+    for name, size in {**cameras, **projectors}.items():
+        own = config.of_device(name)
+        if own.lens != config.lens:
+            device = {name: size}
+            lenses |= _lenses_alone(own, device if name in cameras else {}, device if name in projectors else {})
+        if name in projectors:
+            lenses[name] = replace(lenses[name], point=own.projector_point(size))
+    return lenses
 
 
 def _lenses_alone(config: Config, cameras: Mapping[str, Size], projectors: Mapping[str, Size]) -> dict[str, LensPrior]:

@@ -55,7 +55,7 @@ def guide_without_corner(captures: Sequence[Decoded], config: Config, progress: 
         return f"{newest[-1].name} shares too few points with those before it. Next: turn by less, 10 to 20°."
     known = 100 * max(relative_focal_sigmas(scene.calibration).values())
     sentence = f"The last {len(newest)} stations determine the focal lengths to ± {known:.2g} %."
-    return f"{sentence} {_next(scene.next_station, moved)}"
+    return f"{sentence} {_next(scene.next_station(), moved)}"
 
 
 def _next(best: NextStation | None, moved: Moved) -> str:

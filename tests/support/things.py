@@ -84,16 +84,14 @@ def _turned(
     found = []
     for number in range(count):
         simulated = SimulatedThing(settings, camera, PROJECTOR)
-        if solid is not None:
-            simulated.solid = solid
-            simulated.stage = TurntableScene(solid, simulated.pose, settings.thing)
+        simulated.solid = solid or simulated.solid
         if number:
             axis = rng.standard_normal(3)
             turn = rotation_about(axis * np.radians(rng.uniform(12, 25)) / np.linalg.norm(axis))
             simulated.pose = Pose(
                 turn @ simulated.pose.rotation, simulated.pose.translation + 0.01 * rng.standard_normal(3)
             )
-            simulated.stage = TurntableScene(simulated.solid, simulated.pose, settings.thing)
+        simulated.stage = TurntableScene(simulated.solid, simulated.pose, settings.thing)
         found.append(_station(simulated, noise_px, rng))
     return found
 

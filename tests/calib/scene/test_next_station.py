@@ -26,7 +26,7 @@ def test_a_further_station_gives_the_predicted_sigmas() -> None:
     taken = turned_stations(4, CAMERA, seed=2)
     stations = [*taken[1:], taken[0]]  # the newest is as the thing stands first
     before = calibrated(stations)
-    best = before.next_station
+    best = before.next_station()
     assert best is not None
     after = calibrated([*stations, turned_before_camera(2, CAMERA, best.axis, best.turn_deg)])
     assert after.stations == (0, 1, 2, 3, 4)

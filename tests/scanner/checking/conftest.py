@@ -1,11 +1,17 @@
-"""One small simulated room for all tests here, because construction takes seconds."""
+"""One small simulated room for all tests here, because construction takes seconds; and matches of a corner."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
+from calib.geometry import Calibration
+from calib.synthetic import random_captures
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedRoom
 from scanner.checking.check import check_rig
 from scanner.checking.report import CheckReport, CheckRow
+from scanner.io import write_matches
 from scanner.ui import Terminal
 from tests.support.rig_bench import CAMERA, PERIOD_US, PROJECTOR, changed, config, rig_in
 
@@ -26,3 +32,14 @@ def usual(room: SimulatedRoom, rows_of_usual: list[CheckRow]) -> CheckReport:
     """A check under normal conditions, with exposures of whole refresh periods."""
     rig = rig_in(changed(room, exposure_us=PERIOD_US))
     return check_rig(rig, config(), Terminal(quiet=True), rows_of_usual.append)
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, list[Path]]:
+    """The true calibration, and matches of three captures of a corner."""
+    folder = tmp_path_factory.mktemp("captures")
+    captures = random_captures(np.random.default_rng(3), 3, count=20_000)
+    paths = [folder / f"{number}.npz" for number in range(3)]
+    for path, capture in zip(paths, captures, strict=True):
+        write_matches(path, capture.matches)
+    return captures[0].calibration, paths

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calib.geometry import Calibration, Pose, rotation_about
-from calib.synthetic import random_captures
 from scanner.checking.calibration_check import check_calibration, config_of
 from scanner.commands import main
 from scanner.io import write_calibration, write_matches
@@ -16,17 +15,6 @@ from scanner.ui import Terminal
 from tests.support.things import thing_stations, turned_stations
 
 pytestmark = pytest.mark.xdist_group("calibration check")  # what the module shares is made once
-
-
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, list[Path]]:
-    """The true calibration, and matches of three captures of a corner."""
-    folder = tmp_path_factory.mktemp("captures")
-    captures = random_captures(np.random.default_rng(3), 3, count=20_000)
-    paths = [folder / f"{number}.npz" for number in range(3)]
-    for path, capture in zip(paths, captures, strict=True):
-        write_matches(path, capture.matches)
-    return captures[0].calibration, paths
 
 
 def told(

@@ -11,7 +11,6 @@ import pytest
 from calib.diagnostics import Uncertainty, sigmas_of
 from calib.geometry import Calibration, Intrinsics, Pose, rotation_about
 from calib.numerics import Floats
-from calib.synthetic import random_captures
 from scanner.commands import main
 from scanner.io import read_calibration, read_yaml, write_calibration, write_matches
 from scanner.results import covariance_entries, log_of, read_log, read_uncertainty
@@ -59,14 +58,10 @@ def turned(truth: Calibration, degrees: float) -> Calibration:
 
 
 @pytest.fixture(scope="module")
-def corner(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, list[str]]:
+def corner(rig: tuple[Calibration, list[Path]]) -> tuple[Calibration, list[str]]:
     """The true rig, in metres, and matches of three captures of a corner."""
-    folder = tmp_path_factory.mktemp("corner")
-    captures = random_captures(np.random.default_rng(3), 3, count=20_000)
-    paths = [folder / f"{number}.npz" for number in range(3)]
-    for path, capture in zip(paths, captures, strict=True):
-        write_matches(path, capture.matches)
-    return captures[0].calibration.scaled(0.4, "m"), [*map(str, paths)]
+    truth, paths = rig
+    return truth.scaled(0.4, "m"), [*map(str, paths)]
 
 
 @pytest.fixture(scope="module")

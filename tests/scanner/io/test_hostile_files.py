@@ -65,6 +65,7 @@ def test_circular_links_are_refused_by_name(command: str, tmp_path: Path, capsys
     config, circle = tmp_path / "rig.yaml", tmp_path / "circle"
     config.write_text("camera: {width: 48, height: 32}\nprojector: {width: 48, height: 32}\n")
     circle.symlink_to("circle")
+    (tmp_path / "other").mkdir()
     given = [str(circle), str(tmp_path / "other"), "--config", str(config), "--out", str(tmp_path / "out")]
     assert main([command, *given]) == 2
     assert str(circle) in capsys.readouterr().err

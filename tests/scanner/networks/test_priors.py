@@ -5,7 +5,7 @@ import pytest
 from calib.geometry import Size
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.networks.solve import lenses_of_devices
+from scanner.reconstruction import lenses_by_name
 
 SIZE = Size(640, 480)
 
@@ -27,7 +27,7 @@ def test_a_device_has_its_own_principal_point() -> None:
     both = config(right={"camera": {"principal_point": {"known": [300, 250]}}})
     assert both.of_device("left").principal_point(SIZE).px == (319.5, 239.5)
     assert both.of_device("right").principal_point(SIZE).px == (300, 250)
-    lenses = lenses_of_devices(both, {"left": SIZE, "right": SIZE}, {"stage": SIZE, "side": SIZE})
+    lenses = lenses_by_name(both, {"left": SIZE, "right": SIZE}, {"stage": SIZE, "side": SIZE})
     known = lenses["stage"].point
     assert known is not None
     assert known.px == (320, 470)
@@ -36,7 +36,7 @@ def test_a_device_has_its_own_principal_point() -> None:
 
 def test_a_device_has_its_own_lens() -> None:
     both = config(right={"lens": {"radial": 0}})
-    lenses = lenses_of_devices(both, {"left": SIZE, "right": SIZE}, {"stage": SIZE, "side": SIZE})
+    lenses = lenses_by_name(both, {"left": SIZE, "right": SIZE}, {"stage": SIZE, "side": SIZE})
     assert lenses["left"].sigma[0] == pytest.approx(0.01)
     assert lenses["right"].sigma[0] < 1e-4
     assert lenses["stage"].point is not None

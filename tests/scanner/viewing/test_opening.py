@@ -21,7 +21,8 @@ def test_without_viser_it_says_what_to_install(
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(InputError, match=re.escape(CONSOLE.install_command())):
         require_viser()
-    for command in (["view", str(tmp_path)], ["console", "--config", "room.yaml"]):
+    (config := tmp_path / "room.yaml").touch()
+    for command in (["view", str(tmp_path)], ["console", "--config", str(config)]):
         assert main(command) == 2
         assert CONSOLE.install_command() in capsys.readouterr().err
 
