@@ -11,7 +11,7 @@ from functools import partial
 from math import inf
 from pathlib import Path
 from threading import Thread
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 import cv2
 import numpy as np
@@ -20,11 +20,13 @@ from pydantic import Field, StringConstraints, model_validator
 from calib.numerics import Image
 from hw.cameras import CameraInfo, refuse_other_setting, refuse_other_size
 from hw.errors import DeviceError
-from hw.motion_jpeg import MotionJpegStream, open_motion_jpeg
 from hw.rig import Capabilities, Frame
 from hw.settings import CameraRigSettings, without_passwords
 from hw.timing.devices import whole_periods
 from hw.timing.frame_reader import FrameReader
+
+if TYPE_CHECKING:
+    from hw.motion_jpeg import MotionJpegStream
 
 _OPENING_MS = 5000
 _PROBED = 4  # camera numbers that are tried where the system has no list
@@ -175,9 +177,11 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
         arrival = self.reader.following(self.reader.newest)
         return Frame(arrival.image, self.exposure_us, arrival.timestamp_ns)
 
-    def _connected(self, camera: int | str) -> cv2.VideoCapture | MotionJpegStream:
+    def _connected(self, camera: int | str) -> "cv2.VideoCapture | MotionJpegStream":
         """Motion JPEG over HTTP is read here, within limits that OpenCV does not have; OpenCV opens all others."""
         if isinstance(camera, str) and camera.lower().startswith(("http://", "https://")):
+            from hw.motion_jpeg import open_motion_jpeg  # which loads HTTP
+
             limit_s = 1e-3 * _OPENING_MS
             try:
                 stream = _interruptible(partial(open_motion_jpeg, self.name, camera, self.size, limit_s), limit_s)
