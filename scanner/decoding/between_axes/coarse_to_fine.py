@@ -8,12 +8,11 @@ from math import log, sqrt
 import cv2
 import numpy as np
 
-from calib.numerics import MANY_PIXELS, Bools, Floats, Floats32, Image, clustered_scatter, evenly_spread, huber_weights
+from calib.numerics import Floats, Floats32, Image, clustered_scatter, huber_weights
 from scanner.decoding.between_axes.borders import REACH_PX, Edges, ScenePixels
 from scanner.decoding.between_axes.registration import shifts_of_tiles, solved
 from scanner.decoding.motion import COLUMNS, PER_DEVICE, SUSPECTED_PX, RigidFit
 from scanner.decoding.significance import (
-    FEWEST_PIXELS,
     HALF,
     HUBER_ROUNDS,
     HUBER_SIGMAS,
@@ -47,32 +46,28 @@ class TimeOfChange:
         return tuple(np.flatnonzero(self.done == 1).tolist())
 
 
-def time_of_change(
-    pictures: Sequence[Image], chosen: Bools, first: int, stripes: Sequence[float]
-) -> TimeOfChange | None:
-    """Locate a single change of pictures (H, W) at `chosen` pixels (H, W), compared with a change after the `first`
-    few.
+def time_of_change(pictures: Image, first: int, stripes: Sequence[float]) -> TimeOfChange | None:
+    """Locate a single change of K pictures (K, P), compared with a change after the `first` few.
 
-    `stripes`: stripe width of the pair that each picture is the sum of. None if there are too few pixels, or if sorting
-    the pictures by stripe width separates them better than sorting by time: stripes that were sharpened or rescaled do
-    not add up to even light. A change of overall brightness is ignored.
+    `stripes`: stripe width of the pair that each picture is the sum of. None if sorting the pictures by stripe width
+    separates them better than sorting by time: stripes that were sharpened or rescaled do not add up to even light. A
+    change of overall brightness is ignored.
     """
-    pixels = np.flatnonzero(chosen)
-    if len(pixels) < FEWEST_PIXELS:
-        return None
-    pixels = evenly_spread(pixels, MANY_PIXELS)
-    levels = np.stack([picture.reshape(-1)[pixels] for picture in pictures]).astype(np.float64)
+    levels = pictures.astype(np.float64)
     mean = levels.mean(axis=0)
     light = np.stack([np.ones_like(mean), mean])
     levels -= levels @ np.linalg.pinv(light) @ light  # the mean may be even itself
     count = len(levels)
-    between = _between_groups(levels)
-    if between.max() < _between_groups(levels[np.argsort(stripes, kind="stable")]).max():
+    products = levels @ levels.T
+    between = _between_groups(products)
+    by_width = np.argsort(stripes, kind="stable")
+    if between.max() < _between_groups(products[np.ix_(by_width, by_width)]).max():
         return None
     best = int(np.argmax(between)) + 1
     # Either picture next to the change may have been taken during it.
     before, after = (part.mean(axis=0) for part in (levels[: max(best - 1, 1)], levels[min(best + 1, count - 1) :]))
-    done = (levels - before) @ (after - before) / max(float((after - before) @ (after - before)), 1e-12)
+    change = after - before
+    done = (levels @ change - before @ change) / max(float(change @ change), 1e-12)
     shares = (np.arange(count) >= best).astype(np.float64)
     at_change = np.array([number for number in (best - 1, best) if 0 < number < count - 1], np.int64)
     partly = at_change[np.abs(done[at_change] - 0.5) < 0.5 - _PARTLY]
@@ -80,12 +75,15 @@ def time_of_change(
     return TimeOfChange(shares, float(between[best - 1] / max(between[first - 1], 1e-12)))
 
 
-def _between_groups(levels: Floats) -> Floats:
-    """Return the sum of squares between the groups, (K - 1,), for each split of a list (K, P) in two."""
-    count = len(levels)
+def _between_groups(products: Floats) -> Floats:
+    """Return the sum of squares between the groups, (K - 1,), for each split of a list in two.
+
+    `products` (K, K): scalar products of the list's members, whose sum is 0.
+    """
+    count = len(products)
     splits = np.arange(1, count)
-    sums = np.cumsum(levels, axis=0)[:-1]
-    between: Floats = np.sum(sums**2, axis=1) * count / (splits * (count - splits))
+    sums = np.diagonal(np.cumsum(np.cumsum(products, axis=0), axis=1))[:-1]
+    between: Floats = sums * count / (splits * (count - splits))
     return between
 
 

@@ -5,14 +5,15 @@ that of a pattern and its inverse, equal half of white, whatever the pattern. Al
 one picture of the scene, those along y another. They are compared if all of one axis is shown before all of the other.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import cast
 
 import cv2
 import numpy as np
 
-from calib.numerics import Floats, Floats32, Image
+from calib.numerics import MANY_PIXELS, Floats, Floats32, Image, Ints, evenly_spread
 from scanner.decoding.between_axes.borders import REACH_PX, Edges, part_around, places_of_tiles
 from scanner.decoding.between_axes.coarse_to_fine import TimeOfChange, motion_of, time_of_change
 from scanner.decoding.coordinates import Frames
@@ -26,7 +27,7 @@ from scanner.decoding.motion import (
     turns_px,
 )
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.significance import AS_GOOD, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 
 
 @dataclass(frozen=True)
@@ -77,43 +78,65 @@ def pairs_of(axis: AxisPlan) -> dict[int, tuple[int, int]]:
 
 @dataclass(frozen=True)
 class EvenlyLit:
-    """The two `pictures` of the scene, (H, W) each.
-
-    `of_pairs` (H, W): means of pattern and inverse, for codes alone, in order of display. If pattern and inverse differ
-    in brightness, stripes remain, which move with neither device.
-    """
+    """The scene as it looks evenly lit, while each axis was measured."""
 
     halves: tuple[Half, Half]
+    """The halves of the capture."""
+    frames: Callable[[], Iterable[tuple[int, Image]]]
+    """Reads the frames (H, W), by number."""
     pictures: tuple[Floats32, Floats32]
-    of_pairs: dict[tuple[int, int], Image]
+    """Of the halves, (H, W) each."""
+    pairs: tuple[tuple[int, int], ...]
+    """Frames of pattern and inverse, for codes alone, in order of display. If the two differ in brightness, stripes
+    remain in their mean, which move with neither device."""
+    levels: tuple[Image, ...]
+    """For each group of pixels asked for, the means of the pairs there, (pairs, P)."""
 
     def pictures_of(self, before: Sequence[int], after: Sequence[int]) -> tuple[Floats32, Floats32]:
         """Return the mean pictures (H, W) of two groups of pairs, given by number."""
-        of_pairs = [*self.of_pairs.values()]
-        return _mean([of_pairs[k] for k in before]), _mean([of_pairs[k] for k in after])
+        shape = self.pictures[0].shape
+        totals = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        group_of = {self.pairs[k]: total for group, total in zip((before, after), totals, strict=True) for k in group}
+        unpaired: dict[tuple[int, int], Image] = {}
+        pair_of = {frame: pair for pair in group_of for frame in pair}
+        for number, grey in self.frames():
+            if (pair := pair_of.get(number)) is None:
+                continue
+            if pair in unpaired:
+                cv2.accumulate(_mean(unpaired.pop(pair), grey), group_of[pair])
+            else:
+                unpaired[pair] = grey
+        for group, total in zip((before, after), totals, strict=True):
+            total /= len(group)
+        return totals
 
 
-def evenly_lit(halves: tuple[Half, Half], frames: Iterable[tuple[int, Image]], shape: tuple[int, int]) -> EvenlyLit:
-    """Add up the frames (H, W) of a capture, by index, that belong to a half."""
+def evenly_lit(
+    halves: tuple[Half, Half],
+    frames: Callable[[], Iterable[tuple[int, Image]]],
+    shape: tuple[int, int],
+    groups: Sequence[Ints],
+) -> EvenlyLit:
+    """Add up the frames (H, W) of a capture that belong to a half; at `groups` of pixels, of flat indices (P,), mean
+    each pair of them.
+    """
     pictures = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    of_pairs: dict[tuple[int, int], Image] = {}
+    at_pixels: dict[tuple[int, int], list[Image]] = {}
     pair_of = {frame: pair for half in halves for pair in pairs_of(half.axis).values() for frame in pair}
-    for number, grey in frames:
+    for number, grey in frames():
         for half, picture in zip(halves, pictures, strict=True):
             if weight := half.weights.get(number):
                 cv2.addWeighted(picture, 1, grey, weight, 0, dst=picture, dtype=cv2.CV_32F)
         if (pair := pair_of.get(number)) is not None:
-            previous = of_pairs.get(pair)
-            of_pairs[pair] = grey if previous is None else cast(Image, cv2.addWeighted(previous, 0.5, grey, 0.5, 0))
-    return EvenlyLit(halves, pictures, of_pairs)
+            own = [grey.reshape(-1)[pixels] for pixels in groups]
+            first = at_pixels.get(pair)
+            at_pixels[pair] = own if first is None else [*map(_mean, first, own)]
+    levels = tuple(map(np.stack, zip(*at_pixels.values(), strict=True)))
+    return EvenlyLit(halves, frames, pictures, tuple(at_pixels), levels)
 
 
-def _mean(pictures: Sequence[Image]) -> Floats32:
-    total = np.zeros(pictures[0].shape, np.float32)
-    for picture in pictures:
-        cv2.accumulate(picture, total)
-    total /= len(pictures)
-    return total
+def _mean(pattern: Image, inverse: Image) -> Image:
+    return cast(Image, cv2.addWeighted(pattern, 0.5, inverse, 0.5, 0).reshape(pattern.shape))
 
 
 # Largest motion to be corrected: scene and border each show one common motion.
@@ -167,15 +190,16 @@ def motion_between(
     step_px = 0.0 if plan.fringes else max(axis.cell for axis in plan.axes)
     rows, columns = part = part_around(projector_px)
     projector_px = np.ascontiguousarray(projector_px[part])
-    lit = evenly_lit(halves, frames(part), (projector_px.shape[0], projector_px.shape[1]))
     places = places_of_tiles(projector_px, step_px)
     first, second = halves
     shares = np.array([axis.axis == second.axis.axis for axis in plan.axes], np.float64)
     edges = Edges(
         projector_px, step_px, places, shares, projector_size, camera_size=sizes[0], origin=(columns.start, rows.start)
     )
+    shape = projector_px.shape[0], projector_px.shape[1]
+    lit = evenly_lit(halves, partial(frames, part), shape, _compared_pixels(halves, edges))
     fit, timing = motion_of(lit.pictures, edges), _BETWEEN
-    for moment in _within_halves(lit, edges):
+    for moment in _within_halves(lit):
         of_other = motion_of(lit.pictures_of(moment.before, moment.after), edges)
         # The pictures of the halves mix before and after, so that the motion looks smaller there.
         larger = np.hypot(*turns_px(of_other.motion)) > np.hypot(*turns_px(fit.motion))
@@ -210,20 +234,28 @@ def motion_between(
     return replace(within, unseen=between.unseen, blind=between.blind)
 
 
-def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[TimeOfChange]:
+def _compared_pixels(halves: tuple[Half, Half], edges: Edges) -> list[Ints]:
+    """Return the pixels, flat indices (P,), at which the pictures of code pairs are compared: of the scene, then of the
+    border; none if the halves have no pairs, or where there are too few.
+    """
+    if not any(pairs_of(half.axis) for half in halves):
+        return []
+    pixels = edges.beside(np.zeros(COLUMNS), REACH_PX)
+    groups = (np.flatnonzero(chosen) for chosen in (pixels.scene, pixels.border))
+    return [evenly_spread(group, MANY_PIXELS) for group in groups if len(group) >= FEWEST_PIXELS]
+
+
+def _within_halves(lit: EvenlyLit) -> Iterator[TimeOfChange]:
     """Yield the times, other than between the halves, at which pictures of code pairs changed: the scene, then the
     border.
     """
-    if not lit.of_pairs:
-        return
     found_groups = set()  # scene and border mostly agree
     first = len(pairs_of(lit.halves[0].axis))
     # Relative widths: the stripes of a bit are half as wide as those of the coarser one before it.
     bits = {pair: (half.axis, bit) for half in lit.halves for bit, pair in pairs_of(half.axis).items()}
-    stripes = [axis.cell * 2.0 ** (max(pairs_of(axis)) - bit) for axis, bit in (bits[pair] for pair in lit.of_pairs)]
-    pixels = edges.beside(np.zeros(COLUMNS), REACH_PX)
-    for chosen in (pixels.scene, pixels.border):
-        moment = time_of_change([*lit.of_pairs.values()], chosen, first, stripes)
+    stripes = [axis.cell * 2.0 ** (max(pairs_of(axis)) - bit) for axis, bit in (bits[pair] for pair in lit.pairs)]
+    for levels in lit.levels:
+        moment = time_of_change(levels, first, stripes)
         if moment is None or min(len(moment.before), len(moment.after)) < _FEWEST_PAIRS:
             continue
         groups = moment.before, moment.after
@@ -236,13 +268,13 @@ def _timing_of(lit: EvenlyLit, plan: SequencePlan, moment: TimeOfChange) -> _Tim
     """Return the effect of a change at this moment on the coordinates: half of the edges of a code belong to its finest
     bit.
     """
-    done = dict(zip(lit.of_pairs, moment.done.tolist(), strict=True))
+    done = dict(zip(lit.pairs, moment.done.tolist(), strict=True))
     of_halves = []
     for half in lit.halves:
         pairs = pairs_of(half.axis)
         edges = {bit: 2.0**bit for bit in pairs}
         of_halves.append(sum(edges[bit] * done[pair] for bit, pair in pairs.items()) / sum(edges.values()))
-    places = [sorted(plan.shown.index(frame) for frame in pair) for pair in lit.of_pairs]
+    places = [sorted(plan.shown.index(frame) for frame in pair) for pair in lit.pairs]
     before, after = places[max(moment.before)], places[min(moment.after)]
     mixed = max(np.sqrt(share * (1 - share)) for share in of_halves)
     return _Timing(of_halves[1] - of_halves[0], _MIXED * mixed, before[-1], after[0])
