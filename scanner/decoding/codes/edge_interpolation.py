@@ -39,8 +39,8 @@ _SATURATED = 0.97
 # Variance of a pair's difference, and of twice the difference of a frame and its threshold, in units of a pixel's.
 _PAIR, _HALF = 2.0, 6.0
 # Per edge: position along the line, its variance, number of the code's edge, cells between the pixels on either side,
-# whether the surface continues from the edge before.
-_PLACE, _SPREAD, _EDGE, _STEP, _FOLLOWS = range(5)
+# slope from the edge before to this one, in cells per camera pixel; 0 if the surface does not continue from there.
+_PLACE, _SPREAD, _EDGE, _STEP, _SLOPE = range(5)
 
 
 @dataclass(frozen=True)
@@ -116,13 +116,13 @@ def _interpolate(
     `numbers`: of the cells. `threshold_side` (bits,): which of a bit's two `levels` (2, bits, L, N) is a threshold; −1
     for none.
     """
-    edges = np.empty((_FOLLOWS + 1, numbers.shape[1]))
+    edges = np.empty((_SLOPE + 1, numbers.shape[1]))
     for line in range(len(numbers)):
         of_line = numbers[line], usable[line], least[line], levels[:, :, line], threshold_side
         of_noise = threshold[line], white[line], at_black, per_level
         count = _list_edges(of_line, of_noise, edges)
         for k in range(1, count):
-            if edges[_FOLLOWS, k]:
+            if edges[_SLOPE, k]:
                 curved = _curved(edges, k, count)
                 if not np.isnan(curved):
                     _fill(edges, k, curved, numbers[line], value[line], variance[line])
@@ -167,9 +167,12 @@ def _list_edges(
             continue
         edges[_PLACE, count], edges[_EDGE, count], edges[_STEP, count] = place, number, high - low
         edges[_SPREAD, count] = ((1 - part) ** 2 + part**2) * noise + _SHAPE_PX**2 + (_STRAY / sharp) ** 2
-        edges[_FOLLOWS, count] = 0 < apart <= most
+        edges[_SLOPE, count] = apart if apart <= most else 0.0
         goes_on = True
         count += 1
+    for k in range(count):
+        if edges[_SLOPE, k]:
+            edges[_SLOPE, k] /= max(edges[_PLACE, k] - edges[_PLACE, k - 1], _SHORTEST_PX)
     return count
 
 
@@ -211,25 +214,13 @@ def _inverse_error_function(value: float) -> float:
 
 
 @compiled
-def _slope(edges: Floats, k: int, count: int) -> float:
-    """Return the slope from the edge before to this edge, in cells per camera pixel; 0 if it does
-    not continue from it.
-    """
-    if not 0 < k < count or not edges[_FOLLOWS, k]:
-        return 0.0
-    return float(
-        abs(edges[_EDGE, k] - edges[_EDGE, k - 1]) / max(edges[_PLACE, k] - edges[_PLACE, k - 1], _SHORTEST_PX)
-    )
-
-
-@compiled
 def _curved(edges: Floats, k: int, count: int) -> float:
     """Return how far the surface between an edge and the one before may be from a straight line, in cells.
 
     From the neighbouring slopes; NaN if there is a jump.
     """
     length = max(edges[_PLACE, k] - edges[_PLACE, k - 1], _SHORTEST_PX)
-    slope, before, after = _slope(edges, k, count), _slope(edges, k - 1, count), _slope(edges, k + 1, count)
+    slope, before, after = edges[_SLOPE, k], edges[_SLOPE, k - 1], edges[_SLOPE, k + 1] if k + 1 < count else 0.0
     steps = max(edges[_STEP, k], edges[_STEP, k - 1])
     if before == 0 and after == 0:
         return BEND_OF_SLOPE * slope * length / 8 if steps == 1 else np.nan
