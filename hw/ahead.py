@@ -1,9 +1,11 @@
-"""Background threads with bounded queues: `Ahead` prefetches an iterator, `in_background` runs calls."""
+"""Background threads with bounded queues: `Ahead` prefetches an iterator, `prefetched` computes its results,
+`in_background` runs calls.
+"""
 
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
@@ -11,6 +13,7 @@ from threading import Thread
 from typing import Generic, ParamSpec, TypeVar
 
 T = TypeVar("T")
+Result = TypeVar("Result")
 P = ParamSpec("P")
 
 _PUNCTUAL_S = 0.0005  # a timing thread waits no longer than this for Python's lock
@@ -80,6 +83,24 @@ class Ahead(Generic[T]):
             self._room.get()
             self.waited_s += time.monotonic() - begin_s
         return not self._stopping
+
+
+def prefetched(function: Callable[[T], Result], items: Iterable[T], threads: int) -> Iterator[Result]:
+    """Yield a function's result for each item, in order, computed in a number of threads, one item ahead in each.
+
+    An exception is raised in the place of its result; nothing is begun after it.
+    """
+    pending: deque[Future[Result]] = deque()
+    with ThreadPoolExecutor(threads, thread_name_prefix="ahead") as pool:
+        try:
+            for item in items:
+                pending.append(pool.submit(function, item))
+                if len(pending) > threads:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 @contextmanager

@@ -10,7 +10,8 @@ from pydantic import Field, field_validator, model_validator
 
 from calib.finding import Finding
 from calib.geometry import PixelGrid, Size
-from calib.numerics import Image
+from calib.numerics import Image, processors
+from hw.ahead import prefetched
 from hw.rig import Frame
 from scanner.capture.damaged_listing import (
     damaged_image,
@@ -142,9 +143,8 @@ class Recording:
 
     def _frames(self) -> Iterator[tuple[Pattern, Frame]]:
         first: Image | None = None
-        for pattern, file, read_back in zip(self.patterns, self.files, self.read_back, strict=True):
-            image = read_image(self.folder / file, self.camera_size)
-            self._check_size(file, image)
+        images = prefetched(self._image, self.files, processors())
+        for pattern, file, read_back, image in zip(self.patterns, self.files, self.read_back, images, strict=True):
             first = image if first is None else first
             if (image.dtype, image.shape) != (first.dtype, first.shape):
                 raise InputError(
@@ -152,7 +152,8 @@ class Recording:
                 )
             yield pattern, Frame(image, *read_back)
 
-    def _check_size(self, file: str, image: Image) -> None:
+    def _image(self, file: str) -> Image:
+        image = read_image(self.folder / file, self.camera_size)
         actual = Size.of(image)
         if actual != self.camera_size:
             swapped = "; are width and height swapped?" if actual[::-1] == self.camera_size else ""
@@ -160,6 +161,7 @@ class Recording:
                 f"{self.folder / file}: expected {self.camera_size} pixels, the size of the camera in "
                 f"{CAPTURE_FILE}, found {actual}{swapped}"
             )
+        return image
 
     def copy_to(self, folder: Path) -> None:
         """Copy the listing and the frames it lists into a new folder. Raises OSError, StorageError, InputError."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hw.ahead import Ahead, in_background
+from hw.ahead import Ahead, in_background, prefetched
 
 
 def numbers(count: int, made: list[int], closed: list[bool]) -> Iterator[int]:
@@ -77,6 +77,48 @@ def test_another_thread_can_stop_it() -> None:
     assert closed == [True]
     assert threading.active_count() == before
     ahead.stop()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("count", [0, 1, 20])
+def test_results_come_in_order_however_long_each_takes(threads: int, count: int) -> None:
+    def slow_if_even(number: int) -> int:
+        time.sleep(0.002 * (number % 2 == 0))
+        return number * number
+
+    assert list(prefetched(slow_if_even, range(count), threads)) == [number * number for number in range(count)]
+
+
+def test_results_are_computed_side_by_side_and_no_more_than_asked_for() -> None:
+    begun, both = list[int](), threading.Barrier(2, timeout=10)
+
+    def meet(number: int) -> int:
+        begun.append(number)
+        both.wait()  # passes only if another one runs at the same time
+        return number
+
+    results = prefetched(meet, range(4), 2)
+    assert next(results) == 0
+    assert len(begun) <= 3
+    assert list(results) == [1, 2, 3]
+
+
+def test_a_failed_result_is_raised_in_its_place_and_ends_the_work() -> None:
+    begun = list[int]()
+
+    def fails_at_three(number: int) -> int:
+        begun.append(number)
+        if number == 3:
+            raise ValueError("the fourth")
+        return number
+
+    before = threading.active_count()
+    results = prefetched(fails_at_three, range(100), 2)
+    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(ValueError, match="the fourth"):
+        next(results)
+    assert threading.active_count() == before
+    assert 4 <= len(begun) <= 6
 
 
 def test_background_work_is_done_in_order_and_by_the_end() -> None:
