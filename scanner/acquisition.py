@@ -224,14 +224,7 @@ def decode(
     InputError.
     """
     decoders = [Decoder(stream.patterns, stream.projector_size, calibration) for stream in streams]
-    exposures_us: list[list[float]] = [[] for _ in streams]
-    with ExitStack() as running:
-        adding = [running.enter_context(in_background(decoder.add)) for decoder in decoders]
-        frames = zip(*(stream.frames for stream in streams), strict=True)
-        for taken in progress.track(frames, len(streams[0].patterns), what):
-            for (_, frame), add, exposures in zip(taken, adding, exposures_us, strict=True):
-                add(frame.image, frame.exposure_us)
-                exposures += [frame.exposure_us] if frame.exposure_us else []
+    exposures_us = _added(decoders, streams, progress, what)
     captures = []
     with progress.step("Matching"):
         for stream, decoder, exposures, name in zip(streams, decoders, exposures_us, names, strict=True):
@@ -242,3 +235,16 @@ def decode(
             metadata = CaptureMetadata(*sizes, stream.patterns, about, tuple(exposures))
             captures.append(Decoded(metadata, decoding.matches, decoding, name))
     return captures
+
+
+def _added(decoders: Sequence[Decoder], streams: Sequence[Stream], progress: Progress, what: str) -> list[list[float]]:
+    """Add all frames of each stream to its decoder; return their exposures in µs, as far as they are known."""
+    exposures_us: list[list[float]] = [[] for _ in streams]
+    with ExitStack() as running:
+        adding = [running.enter_context(in_background(decoder.add)) for decoder in decoders]
+        frames = zip(*(stream.frames for stream in streams), strict=True)
+        for taken in progress.track(frames, len(streams[0].patterns), what):
+            for (_, frame), add, exposures in zip(taken, adding, exposures_us, strict=True):
+                add(frame.image, frame.exposure_us)
+                exposures += [frame.exposure_us] if frame.exposure_us else []
+    return exposures_us

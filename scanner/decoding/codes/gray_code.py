@@ -83,6 +83,8 @@ class CodeWords:
                 np.minimum(coarser.least, image, out=coarser.least)
                 if optional:
                     coarser.optional = {**coarser.optional, bit: image}
+        if not coarser.optional:
+            coarser._least_of_others = coarser.least  # and the coarser code holds no picture of the finer one
         return coarser
 
 

@@ -171,7 +171,7 @@ def refine_by_edges(code_images: CodeImages, maps: Maps, noise: NoiseModel, unde
         levels = levels_of_bits(code_words.code, frames, thresholds)
         images = (image[part] for image in (code_words.words, code_images.threshold, code_images.white))
         _interpolate(code_words.code, noise, levels, [usable, *images, *into])
-    between = np.isfinite(variance).all(axis=0)
+    between = np.logical_and.reduce([np.isfinite(of_axis) for of_axis in variance])
     # With fewer pixels between edges, cell centres are kept everywhere.
     if np.count_nonzero(between & kept) < max(1.0, HALF * np.count_nonzero(kept)):
         return False
