@@ -36,7 +36,7 @@ from calib.geometry import Intrinsics
 from hw.rig import Frame
 from scanner.capture import CAPTURE_FILE, Stream, open_capture, record
 from scanner.commands import main as scan
-from scanner.patterns import Black, White, gray_sequence, sequence_for
+from scanner.patterns import Black, Pattern, White, gray_sequence, sequence_for
 
 CAPTURES = Path(__file__).parents[2] / "shared" / "data"
 _MOST_READINGS = 5
@@ -110,8 +110,9 @@ def write_corner(folder: Path, megapixels: float, *, fringes: bool) -> Path:
     `fringes`: of the standard sequence, else of Gray code alone.
     """
     camera, size = _scaled(CAMERA, megapixels), (PROJECTOR.width, PROJECTOR.height)
-    codes = (White(), Black(), *gray_sequence("x", size[0], 1), *gray_sequence("y", size[1], 1))
-    patterns = sequence_for(size) if fringes else codes
+    patterns: tuple[Pattern, ...] = sequence_for(size)
+    if not fringes:
+        patterns = (White(), Black(), *gray_sequence("x", size[0], 1), *gray_sequence("y", size[1], 1))
     images = seen_by_camera(patterns, size, *corner_seen(camera, PROJECTOR))
     frames = ((pattern, Frame(image)) for pattern, image in zip(patterns, images, strict=True))
     stream = Stream(patterns, PROJECTOR.size, camera.size, frames)

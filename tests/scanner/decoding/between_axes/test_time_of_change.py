@@ -1,5 +1,7 @@
 """Locating the time of a change in a series of pictures of one scene."""
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 
@@ -16,9 +18,13 @@ def picture(shift: int) -> Image:
     return np.broadcast_to(120 + 60 * np.sin(x / 3), SHAPE).astype(np.uint8).reshape(-1)
 
 
+def together(pictures: Iterable[Image]) -> Image:
+    return np.array([*pictures], np.uint8)
+
+
 @pytest.mark.parametrize("changed", [2, 5, 8])
 def test_a_change_is_located(changed: int) -> None:
-    moment = time_of_change(np.stack([picture(number >= changed) for number in range(10)]), 4, STRIPES)
+    moment = time_of_change(together(picture(number >= changed) for number in range(10)), 4, STRIPES)
     assert moment is not None
     assert (moment.before, moment.after) == (tuple(range(changed)), tuple(range(changed, 10)))
     assert 1.3 < moment.gained < 20
@@ -27,7 +33,7 @@ def test_a_change_is_located(changed: int) -> None:
 def test_a_picture_taken_during_the_change() -> None:
     pictures = [picture(number >= 5) for number in range(10)]
     pictures[5] = ((picture(0).astype(np.float64) + picture(1)) / 2).astype(np.uint8)
-    moment = time_of_change(np.stack(pictures), 4, STRIPES)
+    moment = time_of_change(together(pictures), 4, STRIPES)
     assert moment is not None
     assert moment.done[5] == pytest.approx(0.5, abs=0.05)
     assert (moment.before, moment.after) == ((0, 1, 2, 3, 4), (6, 7, 8, 9))
@@ -41,4 +47,4 @@ def test_a_uniform_picture_gives_no_change() -> None:
 
 @pytest.mark.parametrize("narrow", [1.0, 2.0, 4.0])
 def test_differences_between_stripe_widths_are_not_taken_for_a_change(narrow: float) -> None:
-    assert time_of_change(np.stack([picture(width <= narrow) for width in STRIPES]), 5, STRIPES) is None
+    assert time_of_change(together(picture(width <= narrow) for width in STRIPES), 5, STRIPES) is None
