@@ -1,9 +1,8 @@
 """Poses of one view on another without an initial guess: from all rotations, and from keypoints in the pictures.
 
 Descriptors of the surface's shape (FPFH) need detail that smooth things lack. A descent costs some tens of
-microseconds, so it can start from every rotation, judged by the patches that match. Even rotations are those of Alexa,
-"Super-Fibonacci spirals: fast, low-discrepancy sampling of SO(3)", 2022. The initial translation aligns the points
-where the normals of each view converge.
+microseconds, so it can start from every rotation, judged by the patches that match. The initial translation aligns the
+points where the normals of each view converge.
 
 Most matching keypoints (SIFT: Lowe 2004) are wrong. A rigid motion preserves distances, so right pairs are compatible
 with each other; pairs that are compatible with the same others vote for one pose (Chen et al., "SC²-PCR: a second order
@@ -12,14 +11,13 @@ spatial compatibility for efficient and robust point cloud registration", 2022).
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from calib.geometry import IDENTITY, Pose, rotation_about
 from calib.numerics import Bools, Floats, compiled, distinct
 from calib.objects.joint import WIDE, align
 from calib.objects.patch_overlap import mark_pairs
 from calib.objects.view import ObjectView
-from calib.registration import fit_rigid_motion, pixel_under, rotate_vector
+from calib.registration import even_rotations, fit_rigid_motion, pixel_under, rotate_vector
 
 _TURNS = 1200  # rotations; any rotation is about 17° from the nearest one
 # Numbers of patches, and distances in grains within which they match: for all descents, and for the best.
@@ -32,8 +30,6 @@ _LIKE = float(np.cos(np.radians(50.0)))
 _DAMPING = 1e-3
 _TOWARDS_MIDDLE = 0.1  # share of a patch's weight by which a centre is drawn to a point behind the visible surface
 _BEHIND = 20.0  # grains
-# Radicals of super-Fibonacci spirals: φ² = 2, ψ⁴ = ψ + 4.
-_PHI, _PSI = 2**0.5, 1.533751168755204288118041
 
 
 def searched_poses(first: ObjectView, second: ObjectView, most: int, followed: int = _DISTINCT) -> list[Pose]:
@@ -42,7 +38,7 @@ def searched_poses(first: ObjectView, second: ObjectView, most: int, followed: i
     `followed`: how many distinct poses of the wide descents descend closely. Where views share little, wrong poses meet
     more of the surface than the right one does, though not as closely: it is then among the first few hundred.
     """
-    turns = even_turns(_TURNS)
+    turns = even_rotations(_TURNS)
     starts = Pose(turns, normal_centre(first) - turns @ normal_centre(second))
     wide = _distinct(_descended(first, second, starts, _WIDELY, _WIDE), first.grain, followed)
     return _distinct(_descended(first, second, Pose.stack(wide), _CLOSELY, _CLOSE), first.grain, most)
@@ -75,15 +71,6 @@ def _distinct(poses: Pose, grain: float, most: int) -> list[Pose]:
 def are_about_the_same(poses: Pose, reference: Pose, grain: float) -> Bools:
     """Which poses a descent would not tell from a reference, (...,)."""
     return poses.is_near(reference, _SAME_TURN, _SAME_GRAINS * grain)
-
-
-def even_turns(count: int) -> Floats:
-    """Rotations (count, 3, 3)."""
-    s = np.arange(count) + 0.5
-    near, far = np.sqrt(s / count), np.sqrt(1 - s / count)
-    alpha, beta = 2 * np.pi * s / _PHI, 2 * np.pi * s / _PSI
-    quaternions = near * np.sin(alpha), near * np.cos(alpha), far * np.sin(beta), far * np.cos(beta)
-    return Rotation.from_quat(np.stack(quaternions, axis=1)).as_matrix()
 
 
 def normal_centre(view: ObjectView) -> Floats:

@@ -1,6 +1,16 @@
 """Registration: how views of one scene fit together, by planes, keypoints and shape, without a first guess."""
 
 from calib.registration.alignment import couple_poses
+from calib.registration.deviations import (
+    CellDeviations,
+    Deviations,
+    Region,
+    find_regions,
+    from_mesh,
+    from_samples,
+    groups,
+    inflated,
+)
 from calib.registration.hypotheses import fit_rigid_motion
 from calib.registration.keypoints import (
     Keypoints,
@@ -25,5 +35,11 @@ from calib.registration.register import (
     UnregisteredStation,
     register,
 )
+from calib.registration.rotations import even_rotations
+from calib.registration.sampled_surface import SampledSurface, measured_noise, sample_mesh, sample_surface
 from calib.registration.segments import relative_noise
 from calib.registration.straight_planes import split_planes
+from calib.registration.surface_evidence import SurfacePose
+from calib.registration.surface_fit import FreeMotion
+from calib.registration.surface_pair import SurfacePoints
+from calib.registration.surface_registration import Alignment, SurfaceRegistration, register_surfaces

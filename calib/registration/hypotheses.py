@@ -30,6 +30,7 @@ _LIKE_NORMALS = float(np.cos(np.radians(6.0)))
 _LEAST_SINE = 0.4
 _SAME_ROTATION, _SAME_PLACE = np.radians(5.0), 0.04  # radians; relative to the distance
 _MOST_ROTATIONS, _MOST_PAIRS_OF_PLANES, _MOST_TRIPLES, _MOST_LINES, _LINE_STEPS = 16, 40, 1500, 12, 100
+_MOST_TILTED = 24  # rotations of a cube onto itself
 _COARSE_PATCHES, _SETTLING_PATCHES = 150, 500
 _REFINED, _KEPT = 40, 12
 _LEAST_NATS = 3.0
@@ -115,19 +116,31 @@ def _distinct(poses: Pose, worth: Floats, size: float, most: int) -> list[int]:
 
 def _suggested(first: Surfaces, second: Surfaces) -> Pose:
     """Poses (K,) from planes."""
-    largest = [np.argsort(-surfaces.plane_area, kind="stable")[:_MOST_PLANES] for surfaces in (first, second)]
-    a, b = (each.planes[order] for each, order in zip((first, second), largest, strict=True))
-    area = np.minimum(first.plane_area[largest[0]][:, None], second.plane_area[largest[1]][None])
-    poses = [Pose.stack([])]
     reach = 1.2 * (first.distance + second.distance)
-    for rotation in _rotations(a[:, :3], b[:, :3], area):
+    return poses_by_planes((first.planes, first.plane_area), (second.planes, second.plane_area), reach)
+
+
+def poses_by_planes(
+    first: tuple[Floats, Ints], second: tuple[Floats, Ints], reach: float, *, is_upright: bool = True
+) -> Pose:
+    """Poses (K,) X_first = R X_second + t that bring planes onto planes.
+
+    Each scene has its planes (P, 4), unit normals with offsets n · x, and their areas (P,), in any unit. `reach`:
+    length of the longest translation. `is_upright`: rotations that tilt cameras, whose y axes point down, are less
+    likely.
+    """
+    largest = [np.argsort(-area, kind="stable")[:_MOST_PLANES] for _, area in (first, second)]
+    a, b = (planes[order] for (planes, _), order in zip((first, second), largest, strict=True))
+    area = np.minimum(first[1][largest[0]][:, None], second[1][largest[1]][None])
+    poses = [Pose.stack([])]
+    for rotation in _rotations(a[:, :3], b[:, :3], area, is_upright=is_upright):
         alike = (a[:, :3] @ rotation @ b[:, :3].T > _LIKE_NORMALS) & (area > 2)
         shifts = _translations(a, b, alike, area, reach)
         poses.append(Pose(np.broadcast_to(rotation, (len(shifts), 3, 3)), shifts))
     return Pose.concatenate(poses)
 
 
-def _rotations(a: Floats, b: Floats, area: Ints) -> list[Floats]:
+def _rotations(a: Floats, b: Floats, area: Ints, *, is_upright: bool) -> list[Floats]:
     """Rotations from normals b (Q, 3) to normals a (P, 3), those that match most surface first."""
     frames_a, cosine_a = _frames(a, list(combinations(range(len(a)), 2)))
     frames_b, cosine_b = _frames(b, [(i, j) for i in range(len(b)) for j in range(len(b)) if i != j])
@@ -144,8 +157,10 @@ def _rotations(a: Floats, b: Floats, area: Ints) -> list[Floats]:
         alike = np.einsum("pi,kij,qj->kpq", a, some, b, optimize=True) > _LIKE_NORMALS
         votes[start : start + 4096] = np.sum(np.where(alike, np.sqrt(area), 0.0), axis=(1, 2))
     poses = Pose(turns, np.zeros((len(turns), 3)))
-    worth = votes * np.exp(-nats_of_tilt(poses) / 4)
-    return [_fitted(turns[k], a, b, area) for k in _distinct(poses, worth, 1.0, _MOST_ROTATIONS)]
+    worth, most = votes, _MOST_TILTED
+    if is_upright:
+        worth, most = votes * np.exp(-nats_of_tilt(poses) / 4), _MOST_ROTATIONS
+    return [_fitted(turns[k], a, b, area) for k in _distinct(poses, worth, 1.0, most)]
 
 
 def _frames(normals: Floats, pairs: list[tuple[int, int]]) -> tuple[Floats, Floats]:

@@ -156,19 +156,32 @@ class ViewCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class CompareCommand(Command):
-    """Compare two calibrations of one rig: where they differ, and whether their sigmas allow it."""
+    """Compare two calibrations of one rig, or a surface with its reference: where they differ, and by how many
+    sigmas."""
 
     more: ClassVar[str] = """
-Differences are in projector pixels and as lengths, over the camera's picture and by depth, after the best rigid
-alignment. Exit codes: 0 if they agree, or neither states a covariance; 1 if they differ by more than their standard
-deviations allow.
+Two calibrations: differences are in projector pixels and as lengths, over the camera's picture and by depth, after the
+best rigid alignment. Exit codes: 0 if they agree, or neither states a covariance; 1 if they differ by more than their
+standard deviations allow.
+
+Surfaces are compared if one of the two is a cloud or a mesh (PLY, PCD, XYZ, E57, LAS, LAZ; STL, OBJ, GLB, 3MF) or a
+network, or with --surfaces: the first is aligned with the second without a first guess, and the signed deviation of
+every point is told with its sigma. Exit codes: 0, or 1 if a part is surely beyond the --tolerance; 4 if the alignment
+is ambiguous or there is none, or if the tolerance is not decidable with this scan.
 """
-    first: Path = argument("CAL_A", "calibration.yaml, or the folder of a result", existing=NO_FILE)
-    second: Path = argument("CAL_B", "calibration.yaml, or the folder of a result", existing=NO_FILE)
-    depths: str | None = option(
-        "depths to compare at, as in 1m,2m,3m (default: those of CAL_A's scene, or where both axes meet)", "D1,D2,…"
+    first: Path = argument("RESULT", "folder of a result, calibration.yaml, or a cloud or mesh", existing=NO_FILE)
+    second: Path = argument("REFERENCE", "the same, to compare with", existing=NO_FILE)
+    surfaces: bool = switch("compare the surfaces of two results, not their calibrations")
+    tolerance: str | None = option(
+        "largest deviation of the surface, as in 0.1mm: pass, fail, or not decidable", "LENGTH"
     )
-    out: Path | None = option("folder for compare.html and compare.json", "DIR")
+    unit: str | None = option("unit of the reference, if its file does not say (default: found)", "UNIT")
+    scale_free: bool = switch("estimate the scale of the first surface as well")
+    depths: str | None = option(
+        "of calibrations: depths to compare at, as in 1m,2m,3m (default: of RESULT's scene, or where both axes meet)",
+        "D1,D2,…",
+    )
+    out: Path | None = option("folder for compare.html, compare.json, and of surfaces deviation.ply and .glb", "DIR")
     allow: bool = switch("exit code 0 even if they differ")
     overwrite: bool = switch("replace an earlier comparison there")
     quiet: bool = switch(_QUIET)

@@ -1,5 +1,16 @@
-"""Comparison of two calibrations of one rig: where they differ, and whether their sigmas allow it."""
+"""Comparison of two calibrations of one rig, and of surfaces: where they differ, and whether their sigmas allow it."""
 
 from scanner.comparing.comparison import CalibrationComparison, Sheet, compare_files
 from scanner.comparing.page import COMPARE_FILE, COMPARE_PAGE, write_compare, write_compare_page
 from scanner.comparing.summary import comparison_verdict, headings, rows, table
+from scanner.comparing.surface_comparison import Conformity, SurfaceComparison, compare_surfaces
+from scanner.comparing.surface_files import (
+    CLOUD_FILE,
+    MESH_FILE,
+    deviation_mesh,
+    write_deviation_cloud,
+    write_deviation_mesh,
+    write_surface_document,
+    write_surface_page,
+)
+from scanner.comparing.surface_summary import quantile_rows, region_table, surface_verdict

@@ -36,7 +36,15 @@ from scanner.io.matches_file import (
     refuse_one_axis,
     write_matches,
 )
-from scanner.io.ply import CloudPoints, read_cloud, read_frame, write_merged_ply, write_ply, write_room_ply
+from scanner.io.ply import (
+    CloudPoints,
+    read_cloud,
+    read_frame,
+    write_merged_ply,
+    write_ply,
+    write_room_ply,
+    write_scalar_ply,
+)
 from scanner.io.png import PngFile, PngRows, png_of, write_png
 from scanner.io.room_file import (
     StoredDevice,
@@ -50,6 +58,7 @@ from scanner.io.room_file import (
     write_room,
 )
 from scanner.io.row_file import RowFile, by_rows, in_rows, scratch_rows, tiff_rows
+from scanner.io.surface_file import StoredSurface, is_surface_file, read_surface
 from scanner.io.validation import (
     LONGEST_M,
     SHORTEST_M,

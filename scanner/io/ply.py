@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -136,6 +137,39 @@ def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triang
             faces = np.empty(len(triangles), _TRIANGLE)
             faces["count"], faces["corners"] = 3, triangles
             file.write(faces.data)
+
+
+def write_scalar_ply(
+    path: Path,
+    points: Floats,
+    normals: Floats,
+    colours: NDArray[np.uint8],
+    scalars: Mapping[str, Floats],
+    unit: str,
+    frame: str,
+) -> None:
+    """Points, normals and colours (N, 3) with numbers (N,) by name, which CloudCompare shows as scalar fields.
+
+    Raises OSError.
+    """
+    columns = [*_COLUMNS, *(_Column(name, "float", (name,)) for name in scalars)]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment unit {' '.join(unit.split())} (of x, y, z)",
+        f"comment {' '.join(frame.split())}",
+        f"element vertex {len(points)}",
+        *(f"property {column.kind} {name}" for column in columns for name in column.components),
+    ]
+    kind = [(column.name, _TYPES[column.kind], len(column.components)) for column in columns]
+    with path.open("wb") as file:
+        file.write("".join(f"{line}\n" for line in header).encode("ascii", errors="replace") + _END)
+        for piece in slices_of(len(points), _PIECE):
+            vertices = np.empty(len(points[piece]), kind)
+            vertices["points"], vertices["normals"], vertices["colours"] = points[piece], normals[piece], colours[piece]
+            for name, values in scalars.items():
+                vertices[name] = values[piece, None]
+            file.write(vertices.tobytes())
 
 
 @compiled

@@ -7,6 +7,7 @@ from scanner.rendering.cloud_views import (
     frustum_of_projector,
     render,
     rig_frusta,
+    splatted_view,
     standard_views,
     view_along,
 )

@@ -146,3 +146,25 @@ def _shaded(cloud: Cloud | MergedCloud, index: Ints, view: OrthographicView) -> 
     white = max(1, int(np.searchsorted(cumulated, 0.99 * cumulated[-1])))
     brightness = (1.05 * 255 * np.clip(np.arange(256) / white, 0, 1) ** 0.8).astype(np.float32)
     return shaded_colours(colours, normals, index, brightness, (lamp / np.linalg.norm(lamp)).astype(np.float32))
+
+
+def splatted_view(
+    points: Floats, normals: Floats, colours: NDArray[np.uint8], view: OrthographicView, size: tuple[int, int]
+) -> RGBA:
+    """A picture of points (N, 3) in just their colours (N, 3), without light, so that a legend is true of them; else as
+    of `render`.
+    """
+    step = max(1, len(points) // int(2 * size[0] * size[1]))
+    seen, index = facing(
+        points[None].astype(np.float32), normals[None].astype(np.float32), view.axes.astype(np.float32), 1, step
+    )
+    low, high = _bounds(seen, [])
+    scale = _SUPERSAMPLING * min(size[0] / (high - low)[0], size[1] / (high - low)[1])
+    height, width = (int(np.ceil(extent * scale)) for extent in (high - low)[::-1])
+    pixels = (seen - np.append(low, 0).astype(np.float32)) * np.float32(scale)
+    opaque = np.full((len(index), 4), 255, np.uint8)
+    opaque[:, :3] = colours[index]
+    picture = splatted(pixels, opaque, height, width)
+    for _ in range(_FILL_PASSES):
+        picture = filled(picture)
+    return halved(picture)

@@ -7,8 +7,9 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats
 from calib.objects import view_of
-from calib.objects.pose_search import even_turns, normal_centre, searched_poses
+from calib.objects.pose_search import normal_centre, searched_poses
 from calib.objects.view import ObjectView
+from calib.registration import even_rotations
 
 SIDE, FOCAL, CENTRE = 160, 300.0, np.array([0.05, -0.03, 3.0])
 RADII = np.array([0.55, 0.4, 0.28])
@@ -56,7 +57,7 @@ def test_normals_of_a_round_thing_meet_in_its_middle() -> None:
 
 
 def test_no_rotation_is_far_from_the_even_ones() -> None:
-    turns = even_turns(1200)
+    turns = even_rotations(1200)
     asked = Rotation.random(300, rng=np.random.default_rng(0)).as_matrix()
     cosine = (np.einsum("nij,kij->nk", asked, turns).max(axis=1) - 1) / 2
     farthest = np.degrees(np.arccos(np.clip(cosine, -1, 1)))

@@ -1,0 +1,215 @@
+"""Signed distances of a surface from a reference, after registration: of every point, of cells of points, and of
+regions that differ by more than chance allows.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from calib.deferred_imports import open3d
+from calib.numerics import Bools, Floats, Ints, in_slices, robust_sigma
+from calib.registration.sampled_surface import SampledSurface
+
+_BESIDE = 1.5  # cells of the reference along its surface, beyond which it has no surface
+_LIKE = 0.5  # least cosine of both normals
+_LIKE_SAMPLES, _OF_BEND = (
+    0.9,
+    0.25,
+)  # the same of samples; share of the distance aside times their angle that is a sigma
+_FACING = 0.85  # least cosine of the way to the nearest point of a mesh and its normal: less beyond an edge of the mesh
+_AT_ONCE = 200_000
+# Sigmas of all cells of a region, of at least `_FEWEST` of them, and of at least `_SEEDS`.
+_EDGE, _SIGNIFICANT, _SEED_SIGMAS = 1.5, 4.0, 5.5
+_FEWEST, _SEEDS = 6, 2
+_LEAST = ((_SIGNIFICANT, _FEWEST), (_SEED_SIGMAS, _SEEDS))
+_AROUND = 1.75  # cells, between neighbours
+_PEAK_CELLS = 9
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """Of points from a reference."""
+
+    distance: Floats
+    """(N,): along the surface's outward normal; NaN where the reference has no surface."""
+    variance: Floats
+    """(N,): of the reference."""
+
+    @property
+    def there(self) -> Bools:
+        """Which points have a counterpart, (N,)."""
+        return np.isfinite(self.distance)
+
+
+def from_samples(
+    points: Floats, normals: Floats, reference: SampledSurface, reach: float, *, are_oriented: bool = True
+) -> Deviations:
+    """Of points (N, 3) with normals (N, 3) from the samples of a cloud, up to a distance `reach`.
+
+    `are_oriented`: whether the normals say which side is outside; otherwise the reference does.
+    """
+    tree = cKDTree(reference.points)
+
+    def part(at: slice) -> tuple[Floats, Floats]:
+        some, facing = points[at], normals[at]
+        beside = _BESIDE * reference.cell
+        apart, nearest = tree.query(some, distance_upper_bound=float(np.hypot(reach, beside)), workers=-1)
+        there = np.isfinite(apart)
+        nearest = np.where(there, nearest, 0)
+        own = reference.normals[nearest]
+        cosine = np.sum(own * facing, axis=1)
+        sign = np.where(cosine < 0, -1.0, 1.0)[:, None]
+        if not are_oriented:
+            facing = facing * sign
+        elif not reference.is_oriented:
+            own = own * sign
+        middle = own + facing
+        middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
+        off = some - reference.points[nearest]
+        along = np.sum(off * middle, axis=1)
+        aside = np.sqrt(np.maximum(0.0, np.sum(off**2, axis=1) - along**2))
+        cosine = np.sum(own * facing, axis=1)
+        near = there & (aside < beside) & (np.abs(along) < reach) & (cosine > _LIKE_SAMPLES)
+        variance = reference.noise**2 / np.maximum(reference.count[nearest], 1)
+        # Between planes that are not quite parallel, as beside a crease, the distance depends on where it is measured.
+        variance += (_OF_BEND * aside) ** 2 * np.maximum(0.0, 2 - 2 * cosine)
+        return np.where(near, along, np.nan), variance
+
+    parts = in_slices(len(points), _AT_ONCE, part)
+    return Deviations(np.concatenate([each for each, _ in parts]), np.concatenate([each for _, each in parts]))
+
+
+def from_mesh(points: Floats, normals: Floats, vertices: Floats, triangles: Ints, reach: float) -> Deviations:
+    """Of points (N, 3) with normals (N, 3) from a mesh, whatever way its triangles face.
+
+    Raises ImportError where Open3D is missing.
+    """
+    o3d = open3d()
+    middle = vertices.mean(axis=0)  # single precision
+    scene = o3d.t.geometry.RaycastingScene()
+    corners = o3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32))
+    scene.add_triangles(o3d.core.Tensor(np.ascontiguousarray(vertices - middle, np.float32)), corners)
+    distances = []
+    for start in range(0, len(points), _AT_ONCE):
+        some, facing = points[start : start + _AT_ONCE] - middle, normals[start : start + _AT_ONCE]
+        nearest = scene.compute_closest_points(o3d.core.Tensor(some.astype(np.float32)))
+        off = some - nearest["points"].numpy().astype(np.float64)
+        face = nearest["primitive_normals"].numpy().astype(np.float64)
+        length = np.linalg.norm(off, axis=1)
+        along = np.sum(off * face, axis=1)
+        is_beyond_edge = (np.abs(along) < _FACING * length) & (length > 1e-3 * reach)
+        cosine = np.sum(face * facing, axis=1)
+        signed = np.where(cosine < 0, -1.0, 1.0) * along
+        # Beside an edge between faces the nearest point is on it, and the way to it between both normals.
+        on_edge = is_beyond_edge & (np.abs(np.sum(off * facing, axis=1)) > _FACING * length)
+        signed = np.where(on_edge, np.sign(np.sum(off * facing, axis=1)) * length, signed)
+        near = (length < reach) & (~is_beyond_edge | on_edge) & (on_edge | (np.abs(cosine) > _LIKE))
+        distances.append(np.where(near, signed, np.nan))
+    return Deviations(np.concatenate(distances), np.zeros(len(points)))
+
+
+@dataclass(frozen=True, eq=False)
+class CellDeviations:
+    """Mean deviations of the points of each cell of a surface."""
+
+    points: Floats
+    """(C, 3)"""
+    normals: Floats
+    """(C, 3)"""
+    distance: Floats
+    """(C,); NaN without a counterpart."""
+    sigma: Floats
+    """(C,): standard deviation of the mean, with what alignment and calibration add."""
+    cell: float
+    """Edge of a cell."""
+    inflation: float
+    """By how much the sigmas were enlarged to fit what cells differ by."""
+
+    @property
+    def area(self) -> float:
+        """Of a cell."""
+        return self.cell**2
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Adjoining cells that deviate to the same side by more than chance allows."""
+
+    centre: Floats
+    """(3,)"""
+    direction: Floats
+    """(3,): mean outward normal."""
+    size: float
+    """Largest distance within it."""
+    area: float
+    volume: float
+    """Between both surfaces, negative where something is missing."""
+    peak: float
+    """Of the deviation: a mean of a few cells around the largest."""
+    sigma: float
+    """Of the peak."""
+    cells: Ints
+    """Numbers of the cells."""
+
+
+def inflated(sigma: Floats, distance: Floats) -> tuple[Floats, float]:
+    """Sigmas (C,) that are no smaller than what the middle of the distances (C,) scatters by, and the factor."""
+    there = np.isfinite(distance)
+    factor = max(1.0, robust_sigma(distance[there] / sigma[there])) if there.any() else 1.0
+    return factor * sigma, factor
+
+
+def find_regions(cells: CellDeviations) -> list[Region]:
+    """Regions of a surface that deviate, the largest area first."""
+    with np.errstate(invalid="ignore"):
+        z = cells.distance / cells.sigma
+    return sorted(_regions(cells, z), key=lambda region: -region.area)
+
+
+def groups(points: Floats, chosen: Bools, cell: float) -> list[Ints]:
+    """Adjoining ones (numbers) of cells at points (C, 3) that are chosen (C,)."""
+    numbers = np.flatnonzero(chosen)
+    if not len(numbers):
+        return []
+    pairs = cKDTree(points[numbers]).query_pairs(_AROUND * cell, output_type="ndarray")
+    shape = (len(numbers), len(numbers))
+    joined = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape)
+    count, label = connected_components(joined, directed=False)
+    return [numbers[label == k] for k in range(count)] if count < 5000 else _by_label(numbers, label)
+
+
+def _by_label(numbers: Ints, label: Ints) -> list[Ints]:
+    order = np.argsort(label, kind="stable")
+    return np.split(numbers[order], np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def _regions(cells: CellDeviations, z: Floats) -> Iterator[Region]:
+    for side in (1.0, -1.0):
+        for numbers in groups(cells.points, side * np.nan_to_num(z) > _EDGE, cells.cell):
+            if any(np.count_nonzero(side * z[numbers] > least) < count for least, count in _LEAST):
+                continue
+            own, points = cells.distance[numbers], cells.points[numbers]
+            largest = points[np.argmax(side * _smoothed(points, own, cells.cell))]
+            around = np.argsort(np.linalg.norm(points - largest, axis=1), kind="stable")[:_PEAK_CELLS]
+            sigma = float(np.mean(cells.sigma[numbers][around]))
+            normal = cells.normals[numbers].mean(axis=0)
+            yield Region(
+                points.mean(axis=0),
+                normal / max(float(np.linalg.norm(normal)), 1e-12),
+                2 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).max()) + cells.cell,
+                len(numbers) * cells.area,
+                float(np.sum(own)) * cells.area,
+                float(np.mean(own[around])),
+                sigma,
+                numbers,
+            )
+
+
+def _smoothed(points: Floats, values: Floats, cell: float) -> Floats:
+    """Means of values (N,) over the cells around each, (N,)."""
+    near = cKDTree(points).query_ball_point(points, _AROUND * cell)
+    return np.array([values[each].mean() for each in near])

@@ -1,0 +1,21 @@
+"""Rotations that cover all directions and turns evenly."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.numerics import Floats
+
+# Radicals of super-Fibonacci spirals: φ² = 2, ψ⁴ = ψ + 4.
+_PHI, _PSI = 2**0.5, 1.533751168755204288118041
+
+
+def even_rotations(count: int) -> Floats:
+    """Rotations (count, 3, 3): any rotation is about 180° / ∛count from the nearest.
+
+    Alexa, "Super-Fibonacci spirals: fast, low-discrepancy sampling of SO(3)", 2022.
+    """
+    s = np.arange(count) + 0.5
+    near, far = np.sqrt(s / count), np.sqrt(1 - s / count)
+    alpha, beta = 2 * np.pi * s / _PHI, 2 * np.pi * s / _PSI
+    quaternions = near * np.sin(alpha), near * np.cos(alpha), far * np.sin(beta), far * np.cos(beta)
+    return Rotation.from_quat(np.stack(quaternions, axis=1)).as_matrix()

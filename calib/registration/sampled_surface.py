@@ -1,0 +1,201 @@
+"""Surfaces without pixels, sampled evenly: clouds and meshes of any origin, as their registration compares them.
+
+A cell of a grid holds at most one sample: the mean of its points and normals. Where normals are not known, planes
+through neighbours give them, and their signs are made to agree along the surface (Hoppe et al., "Surface reconstruction
+from unorganized points", 1992).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calib.deferred_imports import open3d
+from calib.numerics import Bools, Floats, Ints, evenly_spread, median
+from calib.pointcloud import scattered_surface
+
+_NEIGHBOURS = 12  # of a point, for planes through them
+_NOISE_SAMPLE = 3000  # points
+_LEAST_NORMAL = 0.5  # length of a mean normal: shorter where two sides of something thin share a cell
+_MOST_OPPOSED = 0.05  # share of neighbours with opposed normals, beyond which the signs of given normals are not used
+_CREASE, _MOST_CREASES = (
+    0.12,
+    0.4,
+)  # radians of neighbouring normals; share of samples that have to be away from creases
+_ORIENTED, _ORIENTATION_NEIGHBOURS = 6000, 12
+_SLOT = 1 << 21  # cells along an axis that a number of a cell has room for
+
+
+@dataclass(frozen=True, eq=False)
+class SampledSurface:
+    """One sample for each cell of a grid."""
+
+    points: Floats
+    """(N, 3): means of the points in each cell."""
+    normals: Floats
+    """(N, 3), of unit length."""
+    count: Ints
+    """(N,): points in each cell."""
+    spread: Floats
+    """(N,): mean squared distance of a cell's points from their mean."""
+    cell: float
+    """Edge of a cell."""
+    noise: float
+    """Standard deviation of a single point along the normal."""
+    is_oriented: bool
+    """Whether normals point to the side from which the surface was seen; otherwise all of them may point away."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def flipped(self) -> "SampledSurface":
+        """With normals of the other sign."""
+        return replace(self, normals=-self.normals)
+
+    @property
+    def extent(self) -> float:
+        """How large it is: the diagonal of the box that holds the middle 96 % along each axis."""
+        low, high = np.quantile(self.points, (0.02, 0.98), axis=0)
+        return float(np.linalg.norm(high - low))
+
+    def some(self, count: int) -> "SampledSurface":
+        """`count` of the samples, at random, but the same every time."""
+        if len(self) <= count:
+            return self
+        chosen = np.random.default_rng(0).permutation(len(self))[:count]
+        return self.part(chosen)
+
+    def part(self, chosen: Ints | Bools) -> "SampledSurface":
+        """Some of the samples."""
+        return replace(
+            self,
+            points=self.points[chosen],
+            normals=self.normals[chosen],
+            count=self.count[chosen],
+            spread=self.spread[chosen],
+        )
+
+    def coarser(self, cell: float) -> "SampledSurface":
+        """Sampled again with larger cells."""
+        points, normals, count, spread = _means(self.points, self.normals, self.count, cell)
+        return replace(self, points=points, normals=normals, count=count, spread=spread, cell=cell)
+
+    def on_surface(self) -> "SampledSurface":
+        """The samples away from creases, moved from the mean of their points onto the curved surface.
+
+        The mean of points on z = ½ xᵀ K x is ½ tr(K S) off it, for their covariance S along the surface. Normals turn
+        by −K x, so that the covariance of points and normals of neighbours has the trace −tr(K P), for their covariance
+        P.
+        """
+        index = np.asarray(cKDTree(self.points).query(self.points, _NEIGHBOURS)[1])
+        apart, turned = (
+            values[index] - values[index].mean(axis=1, keepdims=True) for values in (self.points, self.normals)
+        )
+        area = np.mean(np.sum(apart**2, axis=2), axis=1)
+        bend = np.mean(np.sum(apart * turned, axis=2), axis=1)
+        along = np.maximum(0.0, self.spread - self.noise**2 * (1 - 1 / np.maximum(self.count, 1)))
+        off = -0.5 * bend * along / np.maximum(area, 1e-300)
+        smooth = np.mean(np.sum(turned**2, axis=2), axis=1) < _CREASE**2
+        moved = replace(self, points=self.points - off[:, None] * self.normals)
+        return moved.part(smooth) if np.mean(smooth) > _MOST_CREASES else moved
+
+
+def sample_surface(points: Floats, normals: Floats | None, cell: float, noise: float | None = None) -> SampledSurface:
+    """The surface through points (N, 3), with normals (N, 3) if they are known; `noise` of the points, measured if
+    None.
+
+    Raises ValueError for fewer than `_NEIGHBOURS` cells, and ImportError if signs are needed and Open3D is missing.
+    """
+    noise = measured_noise(points) if noise is None else noise
+    known = normals if normals is not None and _are_usable(normals) else None
+    if known is None:
+        means, _, count, spread = _means(points, np.broadcast_to([0.0, 0.0, 1.0], points.shape), None, cell)
+        _require(means)
+        found = scattered_surface(means[None].astype(np.float32)).normals[0].astype(np.float64)
+        return SampledSurface(means, _oriented(means, found), count, spread, cell, noise, False)
+    means, directions, count, spread = _means(points, known, None, cell)
+    _require(means)
+    if _are_opposed(means, directions):
+        found = scattered_surface(means[None].astype(np.float32)).normals[0].astype(np.float64)
+        return SampledSurface(means, _oriented(means, found), count, spread, cell, noise, False)
+    return SampledSurface(means, directions, count, spread, cell, noise, True)
+
+
+def measured_noise(points: Floats) -> float:
+    """Standard deviation of points (N, 3) from planes through their neighbours; 0 for too few."""
+    if len(points) < 2 * _NEIGHBOURS:
+        return 0.0
+    some = evenly_spread(points, _NOISE_SAMPLE)
+    _, index = cKDTree(points, balanced_tree=False, compact_nodes=False).query(some, _NEIGHBOURS)
+    around = points[index] - points[index].mean(axis=1, keepdims=True)
+    squares = np.linalg.eigvalsh(np.matmul(around.transpose(0, 2, 1), around))[:, 0]
+    return float(np.sqrt(max(0.0, median(squares)) / (_NEIGHBOURS - 3)))
+
+
+def _require(means: Floats) -> None:
+    if len(means) <= _NEIGHBOURS:
+        raise ValueError(f"a surface needs more than {_NEIGHBOURS} different points, found {len(means)}")
+
+
+def _are_usable(normals: Floats) -> bool:
+    length = np.linalg.norm(evenly_spread(normals, _NOISE_SAMPLE), axis=1)
+    return bool(np.mean(np.abs(length - 1) < 0.1) > 1 - _MOST_OPPOSED)
+
+
+def _means(points: Floats, normals: Floats, count: Ints | None, cell: float) -> tuple[Floats, Floats, Ints, Floats]:
+    """Mean points and normals (M, 3) of the cells, how many points they are, and how far these are spread, (M,)."""
+    place = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
+    number = (place[:, 0] * _SLOT + place[:, 1]) * _SLOT + place[:, 2]
+    _, of_cell = np.unique(number, return_inverse=True)
+    weight = np.ones(len(points)) if count is None else count.astype(np.float64)
+    total = np.bincount(of_cell, weight)
+    middle = np.stack([np.bincount(of_cell, weight * column) for column in points.T], axis=1) / total[:, None]
+    normal = np.stack([np.bincount(of_cell, weight * column) for column in normals.T], axis=1) / total[:, None]
+    square = np.bincount(of_cell, weight * np.sum(points**2, axis=1)) / total
+    spread = np.maximum(0.0, square - np.sum(middle**2, axis=1))
+    length = np.linalg.norm(normal, axis=1)
+    one_sided: Bools = length > _LEAST_NORMAL
+    normal = normal[one_sided] / length[one_sided, None]
+    return middle[one_sided], normal, np.rint(total[one_sided]).astype(np.int64), spread[one_sided]
+
+
+def _are_opposed(points: Floats, normals: Floats) -> bool:
+    """Whether normals change their signs along the surface, as those of a mesh with flipped faces do."""
+    chosen = np.arange(0, len(points), max(1, len(points) // _NOISE_SAMPLE))
+    _, index = cKDTree(points).query(points[chosen], 4)
+    cosine = np.einsum("ni,nki->nk", normals[chosen], normals[np.asarray(index)[:, 1:]])
+    return bool(np.mean(cosine < -0.7) > _MOST_OPPOSED)
+
+
+def _oriented(points: Floats, normals: Floats) -> Floats:
+    """Normals (N, 3) whose signs agree along the surface; which of the two sides they are on is not known."""
+    o3d = open3d()
+    step = max(1, len(points) // _ORIENTED)
+    chosen = np.random.default_rng(0).permutation(len(points))[: len(points) // step]
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points[chosen]))
+    cloud.normals = o3d.utility.Vector3dVector(normals[chosen])
+    cloud.orient_normals_consistent_tangent_plane(_ORIENTATION_NEIGHBOURS)
+    agreed = np.asarray(cloud.normals)
+    nearest = np.asarray(cKDTree(points[chosen]).query(points)[1])
+    sign = np.where(np.sum(normals * agreed[nearest], axis=1) < 0, -1.0, 1.0)
+    return normals * sign[:, None]
+
+
+def sample_mesh(vertices: Floats, triangles: Ints, count: int) -> tuple[Floats, Floats]:
+    """Points (count, 3), evenly spread over the area of a mesh but the same every time, and the triangles' normals
+    there.
+
+    Normals are on the side from which the corners of a triangle run counter-clockwise.
+    """
+    rng = np.random.default_rng(0)
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    facing = np.cross(b - a, c - a)
+    area = np.linalg.norm(facing, axis=1)
+    edges = np.cumsum(area)
+    at = (np.arange(count) + rng.random(count)) / count * edges[-1]
+    chosen = np.minimum(np.searchsorted(edges, at, side="right"), len(area) - 1)
+    u, v = rng.random((2, count, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    points: Floats = a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
+    return points, facing[chosen] / area[chosen, None]

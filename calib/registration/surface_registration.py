@@ -1,0 +1,212 @@
+"""Registration of two surfaces of any origin, clouds or meshes, without a first guess; whether it is right, and how
+well.
+
+Every hypothesis is refined, and judged by both surfaces: samples that coincide agree; samples a little in front of or
+behind the other surface, facing the same way, contradict, because whoever saw the one looked through the other. A pose
+is answered only if nothing of weight contradicts it, if no other pose fits as well, and if every direction is held.
+
+The covariance is that of an M-estimator with clustered errors (`calib.numerics.robust_covariance`). How well directions
+are held is counted by the product of both surfaces' normals, whose noise is independent: that of one alone would hold a
+plane by its noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from calib.geometry import Pose
+from calib.numerics import Floats, Ints, biweight, robust_covariance, robust_sigma
+from calib.registration.surface_evidence import RIVAL_CELLS, SurfacePose, are_apart, holds, judge, surpasses, worth
+from calib.registration.surface_fit import FreeMotion, PairFit, free_motions, position_jacobian
+from calib.registration.surface_hypotheses import surface_poses
+from calib.registration.surface_pair import (
+    ACROSS,
+    ALL_SAMPLES,
+    ScaledPair,
+    SurfacePair,
+    SurfacePoints,
+    on_surface,
+    rescaled,
+)
+
+_ROUNDS, _FINAL_ROUNDS = 4, 12
+
+
+class Alignment(Enum):
+    """What is known of the pose of one surface on another."""
+
+    UNIQUE = "unique"
+    AMBIGUOUS = "ambiguous"
+    """Several poses fit equally well."""
+    LOOSE = "loose"
+    """It may slide or turn."""
+    NONE = "none"
+    """No pose fits."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceRegistration:
+    """The registration of a second surface on a first one."""
+
+    alignment: Alignment
+    best: SurfacePose | None
+    """None where no hypothesis could be refined."""
+    alternatives: tuple[SurfacePose, ...]
+    """Other poses that fit as well."""
+    free: tuple[FreeMotion, ...]
+    centre: Floats
+    """(3,): the middle of the overlap, in the first one's frame."""
+    covariance: Floats
+    """(6, 6), or (7, 7) with the logarithm of the scale: of a rotation vector about the `centre` in radians, and a
+    shift, in the first one's frame. NaN unless the pose is unique.
+    """
+    residual: float
+    """Robust standard deviation of the samples' distances."""
+    tolerance: float
+    """Largest distance at which samples coincide."""
+
+    def position_covariance(self, directions: Floats, points: Floats) -> Floats:
+        """Variance (N,) that the pose gives points (N, 3) along directions (N, 3), in the first one's frame."""
+        jacobian = self.jacobian(directions, points)
+        variance: Floats = np.einsum("ni,ij,nj->n", jacobian, self.covariance, jacobian)
+        return variance
+
+    def jacobian(self, directions: Floats, points: Floats) -> Floats:
+        """Derivatives (N, 6) or (N, 7) of positions (N, 3) along directions (N, 3) by what the covariance is of."""
+        return position_jacobian(points - self.centre, directions, with_scale=len(self.covariance) == 7)
+
+
+def register_surfaces(
+    first: SurfacePoints,
+    second: SurfacePoints,
+    scales: Sequence[float] = (1.0,),
+    *,
+    with_scale: bool = False,
+    starts: Pose | None = None,
+) -> SurfaceRegistration:
+    """The pose of the second surface on the first.
+
+    `scales`: factors of the second one's lengths to try, one of which has to be right, to 4 % if the scale is to be
+    estimated as well. `starts` (K,): poses to begin at, instead of a search. Raises ValueError for too few points,
+    ImportError where Open3D is missing.
+    """
+    pair = SurfacePair.of(first, second)
+    candidates: list[_Candidate] = []
+    for scale in scales:
+        candidates += _refined(pair, scale, starts, with_scale=with_scale)
+    return _answer(candidates, with_scale=with_scale)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A refined hypothesis: `moved`, the second side after its scale, in the middle frames; `sign` of its normals."""
+
+    sides: ScaledPair
+    place: Pose
+    sign: float
+    judged: SurfacePose
+
+
+def _refined(pair: SurfacePair, scale: float, starts: Pose | None, *, with_scale: bool) -> list[_Candidate]:
+    """The hypotheses for one scale, refined and judged."""
+    sides = pair.scaled(scale)
+    first, second = (side.fine.coarser(sides.coarse) for side in (sides.first, sides.second))
+    signs = (1.0,) if first.is_oriented and second.is_oriented else (1.0, -1.0)
+    candidates: list[_Candidate] = []
+    for sign in signs:
+        if starts is None:
+            poses, _ = surface_poses(first, second if sign > 0 else second.flipped)
+        else:
+            to, of = (Pose(np.eye(3), side.middle) for side in (sides.first, sides.second))
+            poses = Pose(starts.rotation, starts.translation + starts.rotation @ of.translation - to.translation)
+        settled = (_settled(sides, poses[k], sign, with_scale=with_scale) for k in range(len(poses.translation)))
+        candidates += [candidate for candidate in settled if candidate is not None]
+    return candidates
+
+
+def _settled(sides: ScaledPair, place: Pose, sign: float, *, with_scale: bool) -> _Candidate | None:
+    """A hypothesis after the fine steps, and its evidence; None if nothing holds it."""
+    fine, tolerance = sides.first.fine.cell, sides.tolerance
+    factor = 1.0
+    for reach in (2 * fine + tolerance, fine + tolerance, tolerance, tolerance)[:_ROUNDS]:
+        fit = PairFit.at(sides, place, factor, sign, reach, sides.second.judged)
+        if len(fit.residual) < 12:
+            return None
+        place, factor = fit.stepped(
+            place, factor, np.clip(1 - (fit.residual / reach) ** 2, 0, None) ** 2, with_scale=with_scale
+        )
+    moved = rescaled(sides, factor)
+    return _Candidate(moved, place, sign, judge(moved, place, sign))
+
+
+def _answer(candidates: list[_Candidate], *, with_scale: bool) -> SurfaceRegistration:
+    """The best candidate, its rivals, and what is known of it."""
+    size = 7 if with_scale else 6
+    unknown = np.full((size, size), np.nan)
+    if not candidates:
+        return SurfaceRegistration(Alignment.NONE, None, (), (), np.zeros(3), unknown, np.nan, np.nan)
+    ordered = sorted(_uncontradicted(candidates), key=lambda each: -worth(each.judged))
+    best = _finished(ordered[0], with_scale=with_scale)
+    tolerance = best.sides.tolerance
+    fit = PairFit.at(best.sides, best.place, 1.0, best.sign, tolerance, best.sides.second.fine.some(ALL_SAMPLES))
+    whole = replace(best.judged)
+    if not holds(whole) or len(fit.residual) < 24:
+        return SurfaceRegistration(Alignment.NONE, whole, (), (), np.zeros(3), unknown, np.nan, tolerance)
+    centre = fit.points.mean(axis=0)
+    residual = robust_sigma(fit.residual)
+    shift = best.sides.first.middle
+    free = free_motions(fit, centre, shift, with_scale=with_scale)
+    made = SurfaceRegistration(Alignment.LOOSE, whole, (), free, centre + shift, unknown, residual, tolerance)
+    if free:
+        return made
+    rivals = [each for each in ordered[1:] if each.judged.agreeing > RIVAL_CELLS * whole.agreeing]
+    alternatives: list[SurfacePose] = []
+    points = best.sides.second.fine.some(500).points + best.sides.second.middle
+    for rival in rivals:
+        if all(
+            are_apart(rival.judged, other, points / best.sides.scale, tolerance) for other in (whole, *alternatives)
+        ):
+            alternatives.append(rival.judged)
+    if alternatives:
+        return replace(made, alignment=Alignment.AMBIGUOUS, alternatives=tuple(alternatives))
+    jacobian = position_jacobian(fit.points - centre, fit.normals, with_scale=with_scale)
+    cluster = _clusters(fit.points, best.sides.coarse)
+    covariance = robust_covariance(jacobian, fit.residual, cluster)
+    return replace(made, alignment=Alignment.UNIQUE, covariance=covariance)
+
+
+def _clusters(points: Floats, side: float) -> Ints:
+    """Labels (N,) of the cubes that points are in."""
+    place = np.floor(points / side).astype(np.int64)
+    return np.unique(place, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def _finished(candidate: _Candidate, *, with_scale: bool) -> _Candidate:
+    """With all samples, and Tukey's weights."""
+    place, sides, sign, factor = candidate.place, on_surface(candidate.sides), candidate.sign, 1.0
+    some = sides.second.fine.some(ALL_SAMPLES)
+    for _ in range(_FINAL_ROUNDS):
+        fit = PairFit.at(sides, place, factor, sign, sides.tolerance, some)
+        if len(fit.residual) < 12:
+            return candidate
+        stepped, factor_now = fit.stepped(place, factor, biweight(fit.residual), with_scale=with_scale)
+        change = float(np.abs(stepped.translation - place.translation).max())
+        change += float(stepped.angle_from(place)) * sides.coarse * ACROSS
+        place, factor = stepped, factor_now
+        if change < 1e-3 * max(robust_sigma(fit.residual), 1e-12):
+            break
+    sides = rescaled(sides, factor)
+    return _Candidate(sides, place, sign, judge(rescaled(candidate.sides, factor), place, sign, ALL_SAMPLES))
+
+
+def _uncontradicted(candidates: list[_Candidate]) -> list[_Candidate]:
+    """Those that hold, and that no other one, of a comparable size, shows to be contradicted by more than chance."""
+    holding = [
+        replace(each, judged=judge(each.sides, each.place, each.sign, ALL_SAMPLES))
+        for each in candidates
+        if holds(each.judged)
+    ]
+    sized = [each for each in holding if not any(surpasses(other.judged, each.judged) for other in holding)]
+    return sized or candidates

@@ -1,0 +1,246 @@
+"""Clouds and meshes of any program: PLY, PCD, XYZ, PTS, E57, LAS, LAZ; STL, OBJ, OFF, GLB, 3MF.
+
+Open3D reads most of them, pye57 and laspy (optional parts) theirs. What a file says of its unit is kept: E57, LAS and
+GLB are in metres by their specifications, 3MF names its unit, and files of this program have it in their headers.
+Points that are no finite numbers are left out.
+"""
+
+import re
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.deferred_imports import open3d
+from calib.numerics import Bools, Floats, Ints
+from hw.optional_parts import E57, LAS
+from scanner.errors import InputError
+from scanner.io.free_memory import require_memory
+from scanner.io.given_file import megabytes, opened
+from scanner.io.ply import read_frame
+
+MOST_POINTS = 2_000_000  # of a cloud, spread evenly over the file, that are kept
+_HEADER = 4096
+_UNIT = re.compile(r"unit ([A-Za-zµμ]+)")
+_GROWTH = 8  # bytes of memory for one of the file, at most, as it is read
+_PACKED = 40  # the same of compressed files
+_UNITS_OF_3MF = {
+    "micron": "um",
+    "millimeter": "mm",
+    "centimeter": "cm",
+    "inch": "in",
+    "foot": "ft",
+    "meter": "m",
+}
+_CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+_MOST_MODEL_BYTES = 1_000_000_000
+_OTHER_CAD = (".step", ".stp", ".iges", ".igs", ".fcstd", ".sldprt", ".dwg", ".dxf")
+
+
+@dataclass(frozen=True, eq=False)
+class StoredSurface:
+    """A cloud, or a mesh, as its file has it."""
+
+    points: Floats
+    """(N, 3): of the cloud, or the vertices."""
+    normals: Floats | None
+    """(N, 3) of unit length; None where the file has none."""
+    triangles: Ints | None
+    """(T, 3): of vertices; None of a cloud."""
+    unit: str | None
+    """Of the points; None where the file does not say."""
+    eye: Floats | None
+    """(3,): the scanner's place; None unless all points were seen from one that the file states."""
+    dropped: int
+    """Points that were no finite numbers."""
+    thinned_from: int | None
+    """Points of the file, where only some were kept."""
+
+
+def is_surface_file(path: Path) -> bool:
+    """Whether a file is, by its name's ending, a cloud, a mesh or a CAD model, readable or not."""
+    return path.suffix.lower() in READERS or path.suffix.lower() in _OTHER_CAD
+
+
+def read_surface(path: Path) -> StoredSurface:
+    """Read a cloud or a mesh, by its name's ending. Raises InputError if it is missing, empty, damaged, unknown, too
+    large for the memory, or if the library that reads it is not installed.
+    """
+    kind = path.suffix.lower()
+    if kind in _OTHER_CAD:
+        raise InputError(
+            f"{path}: CAD files of this kind cannot be read: export it from the CAD program as STL, OBJ or 3MF"
+        )
+    if kind not in READERS:
+        raise InputError(
+            f"{path}: expected a cloud or a mesh ({', '.join(sorted(READERS))}), found '{kind or 'no ending'}'"
+        )
+    with opened(path) as file:
+        start = file.read(_HEADER)
+        size = file.seek(0, 2)
+    if not size:
+        raise InputError(f"{path}: is empty: expected a cloud or a mesh")
+    growth = _PACKED if kind in (".laz", ".3mf", ".e57") else _GROWTH
+    require_memory(
+        growth * size, f"the {megabytes(size)} of {path}", "thin the cloud out before, or save it as binary PLY"
+    )
+    surface = READERS[kind](path, start)
+    if not len(surface.points):
+        raise InputError(f"{path}: holds no point, or is damaged")
+    return surface
+
+
+def _open3d() -> Any:
+    try:
+        return open3d()
+    except ImportError as error:
+        raise InputError(str(error)) from error
+
+
+def _stated_unit(start: bytes) -> str | None:
+    """The unit in the header of a file of this program."""
+    if start.startswith(b"roomscan, millimetres"):
+        return "mm"
+    found = _UNIT.search(start.decode("utf-8", errors="replace"))
+    return found[1] if found else None
+
+
+def _with(
+    points: NDArray[np.floating[Any]],
+    normals: NDArray[np.floating[Any]] | None,
+    unit: str | None,
+    eye: Floats | None = None,
+    dropped: int = 0,
+    total: int | None = None,
+) -> StoredSurface:
+    """A cloud of points (N, 3), thinned out and without those that are no numbers. `total`: points of the file."""
+    total = total or len(points)
+    step = -(-len(points) // MOST_POINTS) if len(points) > MOST_POINTS else 1
+    points = points[::step]
+    normals = None if normals is None or len(normals) == 0 else normals[::step]
+    finite: Bools = np.isfinite(points).all(axis=1)
+    kept = np.asarray(points[finite], np.float64)
+    unit_normals = None if normals is None else _unit_length(np.asarray(normals[finite], np.float64))
+    lost = dropped + int(np.count_nonzero(~finite))
+    return StoredSurface(kept, unit_normals, None, unit, eye, lost, total if len(points) < total else None)
+
+
+def _unit_length(normals: Floats) -> Floats:
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit: Floats = np.where(length > 0, normals / length, 0.0)
+    return unit
+
+
+def _cloud(path: Path, start: bytes) -> StoredSurface:
+    cloud = _open3d().io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+    return _with(np.asarray(cloud.points), np.asarray(cloud.normals), _stated_unit(start))
+
+
+def _ply(path: Path, start: bytes) -> StoredSurface:
+    header = start.partition(b"end_header")[0]
+    faces = re.search(rb"element face (\d+)", header)
+    if faces and int(faces[1]) > 0:
+        return _mesh(path, start)
+    own = _cloud(path, start)
+    eye = np.zeros(3) if read_frame(path).startswith("camera frame:") else None
+    return StoredSurface(own.points, own.normals, None, own.unit, eye, own.dropped, own.thinned_from)
+
+
+def _mesh(path: Path, start: bytes) -> StoredSurface:
+    mesh = _open3d().io.read_triangle_mesh(str(path))
+    mesh.remove_duplicated_vertices()
+    points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
+    if not len(triangles):
+        raise InputError(f"{path}: holds no triangle, or is damaged")
+    return _triangles(path, points, triangles, "m" if path.suffix.lower() in (".glb", ".gltf") else _stated_unit(start))
+
+
+def _triangles(path: Path, points: Floats, triangles: Ints, unit: str | None) -> StoredSurface:
+    """A mesh without the triangles that have no extent."""
+    if triangles.min() < 0 or triangles.max() >= len(points):
+        raise InputError(f"{path}: is damaged: triangles of points that it does not have")
+    finite = np.asarray(np.isfinite(points).all(axis=1))
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    with np.errstate(invalid="ignore", over="ignore"):
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    kept = triangles[finite[triangles].all(axis=1) & np.isfinite(area) & (area > 0)]
+    if not len(kept):
+        raise InputError(f"{path}: holds no triangle that has an area")
+    used, corners = np.unique(kept, return_inverse=True)
+    lost = int(np.count_nonzero(~finite))
+    return StoredSurface(points[used], None, corners.reshape(kept.shape).astype(np.int64), unit, None, lost, None)
+
+
+def _3mf(path: Path, _start: bytes) -> StoredSurface:
+    """The meshes of all objects of a model, by the 3MF core specification, without their instances' placements."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            models = [entry for entry in file.infolist() if entry.filename.lower().endswith(".model")]
+            if not models:
+                raise InputError(f"{path}: holds no model of 3MF")
+            if models[0].file_size > _MOST_MODEL_BYTES:
+                raise InputError(f"{path}: its model is too large: {megabytes(models[0].file_size)}")
+            root = ElementTree.fromstring(file.read(models[0]))
+        points, triangles, count = [], [], 0
+        for mesh in root.iter(f"{_CORE}mesh"):
+            own = [[float(each.get(axis, "nan")) for axis in "xyz"] for each in mesh.iter(f"{_CORE}vertex")]
+            corners = [[int(each.get(k, "-1")) for k in ("v1", "v2", "v3")] for each in mesh.iter(f"{_CORE}triangle")]
+            points += own
+            triangles.append(np.reshape(corners, (-1, 3)).astype(np.int64) + count)
+            count += len(own)
+    except (zipfile.BadZipFile, ElementTree.ParseError, ValueError, OSError, KeyError, NotImplementedError) as error:
+        raise InputError(f"{path}: expected a model of 3MF, found a damaged file") from error
+    if not points or not triangles or not sum(map(len, triangles)):
+        raise InputError(f"{path}: holds no triangle")
+    unit = _UNITS_OF_3MF.get(root.get("unit", "millimeter"))
+    return _triangles(path, np.array(points), np.concatenate(triangles), unit)
+
+
+def _e57(path: Path, _start: bytes) -> StoredSurface:
+    with E57.needed("E57", "pye57", InputError):
+        import pye57
+    points, eyes = [], []
+    try:
+        with pye57.E57(str(path)) as file:
+            for number in range(file.scan_count):
+                scan = file.read_scan(number, ignore_missing_fields=True, transform=True)
+                points.append(np.stack([scan["cartesianX"], scan["cartesianY"], scan["cartesianZ"]], axis=1))
+                header = file.get_header(number)
+                eyes.append(np.asarray(header.translation, np.float64) if header.has_pose() else np.zeros(3))
+    except Exception as error:  # libE57's exceptions have no class in common with Python's
+        raise InputError(f"{path}: expected a cloud as E57, found a damaged file") from error
+    if not points:
+        raise InputError(f"{path}: holds no scan")
+    return _with(np.concatenate(points), None, "m", eyes[0] if len(eyes) == 1 else None)
+
+
+def _las(path: Path, _start: bytes) -> StoredSurface:
+    with LAS.needed("LAS", "laspy", InputError):
+        import laspy
+    try:
+        with laspy.open(str(path)) as file:
+            total = int(file.header.point_count)
+            step = max(1, -(-total // MOST_POINTS))
+            chunks = file.chunk_iterator(1_000_000)
+            parts = [np.stack([chunk.x, chunk.y, chunk.z], axis=1)[::step] for chunk in chunks]
+    except Exception as error:  # laspy and lazrs have no common class of errors
+        raise InputError(f"{path}: expected a cloud as LAS, found a damaged file") from error
+    if not parts:
+        raise InputError(f"{path}: holds no point")
+    return _with(np.concatenate(parts).astype(np.float64), None, "m", total=total)
+
+
+READERS: dict[str, Callable[[Path, bytes], StoredSurface]] = {
+    ".ply": _ply,
+    **dict.fromkeys((".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts"), _cloud),
+    **dict.fromkeys((".stl", ".obj", ".off", ".glb", ".gltf"), _mesh),
+    ".3mf": _3mf,
+    ".e57": _e57,
+    **dict.fromkeys((".las", ".laz"), _las),
+}

@@ -1,0 +1,133 @@
+"""Clouds and meshes are registered without a first guess, or it is said why there is no answer."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Pose, rotation_vector
+from calib.numerics import Floats
+from calib.registration import Alignment, SurfacePoints, SurfaceRegistration, register_surfaces, sample_mesh
+from tests.support.blob import Blob
+
+BLOB = Blob()
+
+
+def a_pose(seed: int) -> Pose:
+    rng = np.random.default_rng(seed)
+    return Pose(Rotation.random(rng=rng).as_matrix(), 200.0 * rng.standard_normal(3))
+
+
+def moved(points: Floats, normals: Floats | None, pose: Pose) -> SurfacePoints:
+    return SurfacePoints(pose @ points, None if normals is None else pose.rotate(normals))
+
+
+def whitened(found: SurfaceRegistration, truth: Pose) -> float:
+    """Root mean square of the six errors over their sigmas."""
+    assert found.best is not None
+    change = found.best.pose @ truth.inverse()
+    step = np.append(rotation_vector(change.rotation), change @ found.centre - found.centre)
+    return float(np.sqrt(np.mean(np.linalg.solve(np.linalg.cholesky(found.covariance), step) ** 2)))
+
+
+@pytest.mark.parametrize(("seed", "with_normals"), [(0, True), (1, False)])
+def test_overlapping_parts_are_registered_with_a_true_sigma(seed: int, with_normals: bool) -> None:
+    first, second = BLOB.cloud(30_000, seed, (0, 0, 1)), BLOB.cloud(20_000, 10 + seed, (0.9, 0, 0.6))
+    truth = a_pose(seed)
+    there = moved(second[0], second[1] if with_normals else None, truth.inverse())
+    found = register_surfaces(SurfacePoints(first[0], first[1] if with_normals else None), there)
+    assert found.alignment is Alignment.UNIQUE
+    assert found.best is not None
+    assert 0.3 < found.best.overlap[1] < 0.95
+    assert found.best.share > 0.98
+    off = np.linalg.norm(found.best.pose @ there.points - second[0], axis=1)
+    assert 1e-6 < off.max() < 0.05
+    assert 0.2 < whitened(found, truth) < 2.5
+    sigma = np.sqrt(found.position_covariance(np.array([[0.0, 0, 1]]), found.centre[None]))
+    assert 1e-4 < sigma[0] < 0.01
+
+
+def test_a_part_is_found_on_a_mesh_whatever_way_its_faces_are() -> None:
+    vertices, triangles = BLOB.mesh()
+    triangles[::3] = triangles[::3, ::-1]
+    mesh = SurfacePoints(*sample_mesh(vertices, triangles, 40_000), 0.0)
+    points, normals = BLOB.cloud(20_000, 2, (0.3, -0.5, 0.6))
+    truth = a_pose(2)
+    found = register_surfaces(mesh, moved(points, normals, truth.inverse()))
+    assert found.alignment is Alignment.UNIQUE
+    assert found.best is not None
+    assert np.linalg.norm(found.best.pose @ truth.inverse().__matmul__(points) - points, axis=1).max() < 0.05
+
+
+def test_a_scale_is_estimated() -> None:
+    first, second = BLOB.cloud(30_000, 3), BLOB.cloud(15_000, 4, (0, 1, 0.3))
+    there = moved(second[0] / 250.0, second[1], a_pose(3))
+    found = register_surfaces(SurfacePoints(*first), there, (240.0, 260.0), with_scale=True)
+    assert found.alignment is Alignment.UNIQUE
+    assert found.best is not None
+    assert found.covariance.shape == (7, 7)
+    sigma = float(np.sqrt(found.covariance[6, 6]))
+    assert 1e-6 < sigma < 1e-3
+    assert abs(np.log(found.best.scale / 250.0)) < 4 * sigma
+
+
+def test_a_mirror_image_and_another_body_fit_nowhere() -> None:
+    points, normals = BLOB.cloud(20_000, 5, (0, 0, 1))
+    mirrored, there = BLOB.cloud(30_000, 6)
+    flip = np.array([-1.0, 1.0, 1.0])
+    for other in (
+        SurfacePoints(flip * mirrored, flip * there),
+        SurfacePoints(*Blob((30, 50, 45), 6.0).cloud(30_000, 7)),
+    ):
+        found = register_surfaces(other, moved(points, normals, a_pose(5)))
+        assert found.alignment is Alignment.NONE
+        assert np.isnan(found.covariance).all()
+
+
+def test_an_ellipsoid_fits_in_four_ways() -> None:
+    body = Blob(waves=0.0)
+    found = register_surfaces(SurfacePoints(*body.cloud(20_000, 8)), moved(*body.cloud(15_000, 9), a_pose(8)))
+    assert found.alignment is Alignment.AMBIGUOUS
+    assert found.best is not None
+    assert len(found.alternatives) == 3
+    angles = [np.degrees(found.best.pose.angle_from(other.pose)) for other in found.alternatives]
+    assert np.allclose(angles, 180.0, atol=2.0)
+
+
+def test_what_slides_or_turns_is_named() -> None:
+    ball = Blob((40, 40, 40), 0.0)
+    found = register_surfaces(SurfacePoints(*ball.cloud(20_000, 10)), moved(*ball.cloud(15_000, 11), a_pose(10)))
+    assert found.alignment is Alignment.LOOSE
+    assert [motion.turns for motion in found.free] == [True] * 3
+    assert all(np.linalg.norm(motion.through) < 5.0 for motion in found.free)
+    body = Blob((40, 40, 25), 0.0)
+    found = register_surfaces(SurfacePoints(*body.cloud(20_000, 12)), moved(*body.cloud(15_000, 13), a_pose(12)))
+    assert found.alignment is Alignment.LOOSE
+    (motion,) = found.free
+    assert motion.turns
+    assert abs(motion.direction[2]) > 0.99
+    rng = np.random.default_rng(14)
+    plate = np.hstack([rng.uniform(0, [100.0, 60.0], (20_000, 2)), 0.02 * rng.standard_normal((20_000, 1))])
+    up = np.broadcast_to([0.0, 0.0, 1.0], plate.shape)
+    found = register_surfaces(SurfacePoints(plate, up), SurfacePoints(plate[::2], up[::2]))
+    assert found.alignment is Alignment.LOOSE
+    assert sorted(motion.turns for motion in found.free) == [False, False, True]
+
+
+def test_too_few_points_are_refused() -> None:
+    few = SurfacePoints(np.random.default_rng(0).standard_normal((5, 3)))
+    with pytest.raises(ValueError, match="more than"):
+        register_surfaces(few, few)
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.integers(0, 1000))
+def test_the_answer_does_not_depend_on_the_frame(seed: int) -> None:
+    first, second = BLOB.cloud(12_000, 20, (0, 0, 1)), BLOB.cloud(12_000, 21, (0.4, 0.2, 1))
+    one, other = a_pose(seed), a_pose(seed + 1)
+    found = register_surfaces(moved(*first, one), moved(*second, other))
+    assert found.best is not None
+    assert found.alignment is Alignment.UNIQUE
+    back = one.inverse() @ found.best.pose @ other
+    assert np.linalg.norm(back @ second[0] - second[0], axis=1).max() < 0.1
