@@ -31,6 +31,7 @@ _SMOOTHED = (5, 5)
 _STEPS_OF_CYCLE = 128  # steps per cycle; gamma shifts fringes of three steps by hundredths of a cycle
 _FEWEST_STEPS = 3  # of a fringe
 _KEPT = 64  # results of the last orders: most orders differ from another one along one axis only
+_BITS_KEPT = 256  # orders that share no axis often share most pairs of frames
 
 
 _Shown = tuple[tuple[int, Pattern], ...]  # frames by their numbers
@@ -218,7 +219,7 @@ def contrasts_of_bits(samples: LevelSamples, patterns: Sequence[Pattern], axis: 
     lit = samples.lit
     contrasts = []
     for bit in sorted({p.bit for p in of_code.values()}):
-        bright, dark = _levels_of_bit(samples, of_axis, of_code, bit)
+        bright, dark = _levels_of_bit(samples, _frames_of_bit(of_axis, of_code, bit))
         share = 1 if len([p for p in of_code.values() if p.bit == bit]) > 1 else 2
         contrasts.append(share * float(np.quantile(np.abs(bright - dark)[lit] / samples.swing[lit], _ENDS[1])))
     return contrasts
@@ -231,11 +232,12 @@ def _code(samples: LevelSamples, shown: _Shown, axis: Axis, numbering: tuple[flo
     lit, enough = samples.lit, max(_FEWEST, _FEWEST_CERTAIN * np.count_nonzero(samples.lit))
     number, certain, before = np.zeros(lit.shape), lit.copy(), np.zeros(lit.shape, np.bool_)
     for bit in range(bits):
-        bright, decided = _bit(samples, shown, of_code, bit)
+        bright, decided = _bit(samples, _frames_of_bit(shown, of_code, bit))
         if bit < bits - _FINEST:
             if np.count_nonzero(certain & decided) < enough:  # most wrong orders end at one of the first bits
                 share = float(np.mean(decided[lit]))
-                finer = [float(np.mean(_bit(samples, shown, of_code, n)[1][lit])) for n in range(bit + 1, bits)]
+                fine = [_bit(samples, _frames_of_bit(shown, of_code, n))[1] for n in range(bit + 1, bits)]
+                finer = [float(np.mean(of_bit[lit])) for of_bit in fine]
                 if bit >= _COARSEST and max(finer) <= max(share, _UNRESOLVED) < _HARDLY:
                     cells = 2.0 ** (bits - bit)
                     return Coordinates((number + 0.5) * cells, certain, cells, unresolved=bits - bit)
@@ -250,22 +252,43 @@ def _code(samples: LevelSamples, shown: _Shown, axis: Axis, numbering: tuple[flo
     return Coordinates(number, certain)
 
 
-def _bit(samples: LevelSamples, shown: _Shown, of_code: dict[int, Gray], bit: int) -> tuple[Bools, Bools]:
-    """Where a bit is bright (H, W), and where it is decided, from the frames of its code by their numbers."""
-    bright, dark = _levels_of_bit(samples, shown, of_code, bit)
+@dataclass(frozen=True)
+class _BitFrames:
+    """The frames that decide a bit, by their numbers."""
+
+    shown: int | None
+    """The bit's; None if it was not taken."""
+    inverted: int | None
+    """Its inverse's; None if it was not taken."""
+    ends: tuple[int, ...] = ()
+    """White and black, where either of the two is missing."""
+
+
+def _frames_of_bit(shown: Sequence[tuple[int, Pattern]], of_code: dict[int, Gray], bit: int) -> _BitFrames:
+    """From the frames of its code by their numbers."""
+    frames = {p.inverted: index for index, p in of_code.items() if p.bit == bit}
+    if len(frames) > 1:
+        return _BitFrames(frames[False], frames[True])
+    ends = tuple(index for index, p in shown if isinstance(p, White | Black))
+    return _BitFrames(frames.get(False), frames.get(True), ends)
+
+
+@lru_cache(_BITS_KEPT)
+def _bit(samples: LevelSamples, frames: _BitFrames) -> tuple[Bools, Bools]:
+    """Where a bit is bright (H, W), and where it is decided."""
+    bright, dark = _levels_of_bit(samples, frames)
     return bright > dark, np.abs(bright - dark) > _DECIDED * samples.swing
 
 
-def _levels_of_bit(
-    samples: LevelSamples, shown: Sequence[tuple[int, Pattern]], of_code: dict[int, Gray], bit: int
-) -> tuple[Floats, Floats]:
+def _levels_of_bit(samples: LevelSamples, frames: _BitFrames) -> tuple[Floats, Floats]:
     """The levels (H, W) that are compared: those of both frames, or of one and its threshold."""
-    frames = {p.inverted: index for index, p in of_code.items() if p.bit == bit}
-    ends = tuple(index for index, p in shown if isinstance(p, White | Black))
-    half_way = _middle(samples, ends)
-    if len(frames) == 1:
-        half_way = half_way + _above_middle(samples, *frames.values(), ends) * samples.swing
-    bright, dark = (samples.levels[frames[inverted]] if inverted in frames else half_way for inverted in (False, True))
+    taken = [frame for frame in (frames.shown, frames.inverted) if frame is not None]
+    if len(taken) == 2:
+        return samples.levels[taken[0]], samples.levels[taken[1]]
+    half_way = _middle(samples, frames.ends)
+    if taken:
+        half_way = half_way + _above_middle(samples, *taken, frames.ends) * samples.swing
+    bright, dark = (half_way if frame is None else samples.levels[frame] for frame in (frames.shown, frames.inverted))
     return bright, dark
 
 

@@ -6,7 +6,7 @@ here, and the frames determine which it is.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import chain, product
 
 from scanner.importing.layout import FrameLayout, Need, SequenceOf, Size
@@ -18,6 +18,7 @@ _AXES: tuple[tuple[Axis, ...], ...] = (("x", "y"), ("y", "x"), ("x",), ("y",))
 _BEGINNINGS = (0.0, 0.25, 0.5, 0.75)
 # 59, 64 and 70 periods; and n − n^(k/m) of them, after Towers, Towers and Jones, Optics Letters 28 (2003).
 _USUAL = ((59, 64, 70), (30, 35, 36), (56, 63, 64), (90, 99, 100))
+_KEPT = 4  # layouts of the last periods
 _ANY_PERIOD_PX = 32
 _ANY_COUNTS = (8, 16, 32, 64)  # of as many bits as there may be: cells and fringes fit each other on any projector
 
@@ -26,12 +27,14 @@ _Parts = tuple[Sequence[float], Sequence[Gray]]
 _AlongAxis = Callable[[Axis, Size], _Parts]
 
 
-def fringe_layouts(periods: Sequence[float] | None) -> tuple[FrameLayout, ...]:
+@lru_cache(_KEPT)  # a thousand functions, which remember their sequences
+def fringe_layouts(periods: tuple[float, ...] | None) -> tuple[FrameLayout, ...]:
     """Return the layouts with these `periods` per picture, in the order of the frames.
 
     None: try the usual sets of close periods; a single fringe with a Gray code has no usual number, but fits it
     whatever the number is.
     """
+    several: list[Sequence[float]]
     several = [periods] if periods else [order for usual in _USUAL for order in (usual, usual[::-1])]
     close = [partial(_close, counts) for counts in several if len(counts) > 1]
     counts = _ANY_COUNTS if periods is None else periods if len(periods) == 1 else ()
