@@ -1,14 +1,14 @@
 """A simulated thing in front of a rig, the counterpart of `SimulatedRoom`: it can be lit with pictures and viewed."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import sparse
 
 from calib.geometry import Calibration, Pose
 from calib.numerics import Bools, Floats
-from hw.settings import SimulatedRigSettings
+from hw.settings import SimulatedRigSettings, ThingSettings
 from hw.simulated.arrays import Light, sparse_matrix
 from hw.simulated.device import Optics, PlacedDevice
 from hw.simulated.illumination import SPILL_PX
@@ -23,6 +23,7 @@ _STREAM = 300  # stream of random numbers; rooms use others
 _CAMERA, _PROJECTOR = Optics(1224, 1024, 2100.0, (618.0, 508.0)), Optics(854, 480, 1500.0, (431.0, 243.0))
 _AWAY, _APART = 3.4, (1.0, 1.6)  # distances over the size of the thing: of the rig from it, and between the devices
 _SAMPLES = 2
+_KEPT = 4  # of the last solids, because each station asks for its own anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ class SimulatedThing:
     ) -> None:
         self.settings = settings
         seed = (settings.seed, _STREAM)
-        self.solid = draw_solid(settings.thing, np.random.default_rng([*seed, 2]))
+        self.solid = _solid(settings.thing, seed)
         self.room = _devices(settings, np.random.default_rng([*seed, 3]), camera_size, projector_size)
         self.pose = pose_of(self.solid, settings.thing, settings.pose, seed)
         self.stage = TurntableScene(self.solid, self.pose, settings.thing)
@@ -161,6 +162,18 @@ class SimulatedThing:
 def _unit(vectors: Floats) -> Floats:
     directions: Floats = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
     return directions
+
+
+def _solid(settings: ThingSettings, seed: tuple[int, int]) -> Solid:
+    """The thing of a seed; a file is read anew, for it may have changed."""
+    return (_draw if settings.kind == "file" else _draw_once)(settings, seed)
+
+
+def _draw(settings: ThingSettings, seed: tuple[int, int]) -> Solid:
+    return draw_solid(settings, np.random.default_rng([*seed, 2]))
+
+
+_draw_once = lru_cache(_KEPT)(_draw)
 
 
 def _devices(
