@@ -1,5 +1,6 @@
 """Fixtures of all tests."""
 
+import gc
 import os
 import shutil
 import signal
@@ -13,6 +14,7 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+pytest_plugins = ["tests.support.costs"]
 pytest.register_assert_rewrite("tests.support")  # what a check there found is told as in a test
 
 # As the command does (scanner/commands/main.py); with several test processes on two cores it matters even more.
@@ -42,6 +44,17 @@ _FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
+
+
+# Objects that are made before the garbage collector looks at the young ones: it took a tenth of some tests.
+_YOUNG_OBJECTS = 10_000
+
+
+def pytest_collection_finish() -> None:
+    """Let the garbage collector leave out the modules and tests, which stay to the end."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(_YOUNG_OBJECTS)
 
 
 @pytest.fixture(scope="session")
