@@ -9,7 +9,7 @@ import json
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -69,13 +69,8 @@ class CoveringTests:
                 tests[function].add(entry["test"])
         return tests
 
-    @cached_property
-    def _functions(self) -> list[SourceFunction]:
-        paths = sorted(path for folder in PRODUCT for path in (ROOT / folder).rglob("*.py"))
-        return [function for path in paths for function in functions_of(path)]
-
     def _keys(self, path: str, line: int) -> set[str]:
-        here = [function for function in self._functions if function.path == path]
+        here = [function for function in _functions_of_product() if function.path == path]
         around = [function for function in here if function.first_line <= line <= function.last_line]
         if around:
             innermost = max(around, key=lambda function: function.first_line)
@@ -90,11 +85,17 @@ class CoveringTests:
     def _naming(self, name: str, path: str, known: set[str]) -> set[str]:
         """Functions that name something of a file and that Python runs; private names belong to their file."""
         keys = set[str]()
-        for function in self._functions:
+        for function in _functions_of_product():
             if name in function.mentioned and function.key not in known and (function.path == path or name[0] != "_"):
                 known.add(function.key)
                 keys |= self._callers(function, known) if function.is_compiled else {function.key}
         return keys
+
+
+@cache  # of hundreds of files
+def _functions_of_product() -> tuple[SourceFunction, ...]:
+    paths = sorted(path for folder in PRODUCT for path in (ROOT / folder).rglob("*.py"))
+    return tuple(function for path in paths for function in functions_of(path))
 
 
 def functions_of(path: Path) -> list[SourceFunction]:

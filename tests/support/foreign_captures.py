@@ -7,11 +7,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, draw
+from tests.support.small_capture import with_few_rays
 
 
 @dataclass
@@ -47,7 +49,9 @@ class Photographer:
 
 def photographer(camera: tuple[int, int], projector: tuple[int, int], seed: int = 0) -> Photographer:
     settings = SimulatedRigSettings(seed=seed, albedo=0.5, furniture=False)
-    return Photographer(SimulatedRoom(settings, camera, projector), projector)
+    with pytest.MonkeyPatch.context() as patch:
+        with_few_rays(patch)
+        return Photographer(SimulatedRoom(settings, camera, projector), projector)
 
 
 ENDS: list[Pattern] = [White(), Black()]

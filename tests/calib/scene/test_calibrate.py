@@ -11,7 +11,7 @@ from calib.scene.calibrate import APART, NO_COMMON_POINTS, NOTHING_MOVED, ONE_AX
 from calib.self_calibration import PrincipalPoint
 from tests.support.things import PROJECTOR, ThingStation, thing_stations, true_rig, turned_stations
 
-CAMERA = (612, 512)
+CAMERA, LARGER_CAMERA = (459, 384), (612, 512)
 
 
 def calibrated(captures: list[tuple[Matches, Image]], camera: tuple[int, int] = CAMERA) -> SceneCalibration:
@@ -47,7 +47,7 @@ def test_six_sides_of_a_thing_calibrate_the_rig(stations: list[ThingStation]) ->
 
 def test_turns_about_one_axis_are_refused() -> None:
     with pytest.raises(RefusalError) as refusal:
-        calibrated(captures_of(thing_stations([*range(6)], CAMERA, steps=24)))
+        calibrated(captures_of(thing_stations([*range(4)], CAMERA, steps=24)))
     assert refusal.value.finding.kind == ONE_AXIS
     assert "Tip the object" in refusal.value.advice
 
@@ -65,7 +65,7 @@ def test_stations_at_one_place_are_refused(stations: list[ThingStation]) -> None
 
 
 def test_pictures_without_points_are_refused(stations: list[ThingStation]) -> None:
-    plain = [(station.matches, np.full_like(station.picture, 128)) for station in stations]
+    plain = [(station.matches, np.full_like(station.picture, 128)) for station in stations[:3]]
     with pytest.raises(RefusalError) as refusal:
         calibrated(plain)
     assert refusal.value.finding.kind == NO_COMMON_POINTS
@@ -79,8 +79,8 @@ def test_a_picture_of_another_size_is_named(stations: list[ThingStation]) -> Non
 
 def test_three_of_five_stations_are_right_though_pictures_connect_no_more() -> None:
     """Few keypoints connect them, which a focal length shorter by a third explains nearly as well."""
-    stations = thing_stations([0, 1, 2, 3, 4], CAMERA, seed=1, steps=24, tip_deg=25.0)
-    found = calibrated(captures_of(stations))
+    stations = thing_stations([0, 1, 2, 3, 4], LARGER_CAMERA, seed=1, steps=24, tip_deg=25.0)
+    found = calibrated(captures_of(stations), LARGER_CAMERA)
     focal, sigma = found.calibration.camera.focal_px[0], found.calibration.sigma.camera.focal_px
     assert sigma is not None
     error = abs(focal / stations[0].calibration.camera.focal_px[0] - 1)
@@ -89,7 +89,7 @@ def test_three_of_five_stations_are_right_though_pictures_connect_no_more() -> N
 
 def test_a_zoom_that_moved_between_stations_is_refused(stations: list[ThingStation]) -> None:
     zoomed = []
-    for number, station in enumerate(stations[:4]):
+    for number, station in enumerate(stations[:3]):
         pixels = station.matches.projector_px
         middle = (np.array(PROJECTOR) - 1) / 2
         larger = middle + (1 + 0.03 * number) * (pixels - middle)

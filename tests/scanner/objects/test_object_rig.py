@@ -15,7 +15,7 @@ from scanner.stations import RigStart
 from scanner.ui import Terminal
 from tests.support.things import PROJECTOR, config_for, decoded, thing_stations, true_rig
 
-CAMERA = (612, 512)
+CAMERA = (459, 384)
 NO_CORNER = RefusalError(TOO_FEW_STATIONS, "No three planes are perpendicular.", "Find a corner.")
 
 

@@ -18,7 +18,9 @@ from tests.support.places import ROOT
 pytestmark = pytest.mark.xdist_group("browser")
 
 QUICK = ("--set", "sequence.preset=quick")
-EMPTY = ("--set", "rig.furniture=false", "--set", "rig.interreflection=false")
+# Light between surfaces takes most of the time that a room takes, and no report shows it.
+DARK = ("--set", "rig.interreflection=false", "--set", "rig.ambient=0")
+EMPTY = ("--set", "rig.furniture=false", *DARK)
 BOARD = ("--set", "rig.board={square_m: 0.06}", "--board", "chessboard:9x7", "--square", "60mm")
 RIG = ("--calibration", f"refused{FILE_NAME}/truth.yaml")
 
@@ -34,7 +36,7 @@ THING = [*sizes((306, 256), (427, 240)), *QUICK, *EMPTY]
 COMMANDS = {
     "refused": ("thing-sim", 4, THING),
     "thing": ("thing-sim", 0, [*THING, "--object", "--stations", "4", *RIG]),
-    "room": ("room-whole-sim", 0, [*sizes((306, 256), (427, 240)), *QUICK, "--stations", "3"]),
+    "room": ("room-whole-sim", 0, [*sizes((306, 256), (427, 240)), *QUICK, *DARK, "--stations", "2"]),
     "network": ("hall-sim", 0, sizes((240, 200), (214, 120))),
     "board": ("room-sim", 0, [*sizes((408, 342), (427, 240)), *QUICK, *EMPTY, *BOARD, "--captures", "3"]),
 }
