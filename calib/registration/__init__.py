@@ -25,6 +25,7 @@ from calib.registration.keypoints import (
     sift,
 )
 from calib.registration.outlier_stations import ANOTHER_ROOM, SOMETHING_MOVED
+from calib.registration.pose_graph import PairPose, PoseGraph, solve_pose_graph
 from calib.registration.range_view import StationView, pixel_under, rotate_vector, sample_evenly, station_view
 from calib.registration.register import (
     NO_OVERLAP,

@@ -29,7 +29,7 @@ _DECLARED = (
 # In this order in the help.
 _NAMES = (
     "replay calibrate batch patterns new devices check clean export measure section accept view console photos board "
-    "room network object live compare import"
+    "room network object live compare register import"
 )
 NAMED = {name: _DECLARED[name] for name in _NAMES.split()}
 

@@ -155,6 +155,21 @@ class ViewCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RegisterCommand(Command):
+    """Register clouds of any scanner with each other: poses with sigmas, and one cloud."""
+
+    more: ClassVar[str] = """
+Clouds, meshes or results, in any order and anywhere, without a first guess. All pairs are registered; poses are
+estimated from those that fit in one way only, and pairs that contradict the others are left out. The frame and the unit
+are those of the first cloud. Exit code 4 if no two fit together in one way, or if pairs contradict each other.
+"""
+    clouds: list[Path] = argument("CLOUD", "clouds, meshes, or folders of results", nargs="+", existing=NO_FILE)
+    out: Path = option("folder for register.json and registered.ply", "DIR", required=True)
+    overwrite: bool = switch("replace an earlier registration there")
+    quiet: bool = switch(_QUIET)
+
+
+@dataclass(frozen=True, kw_only=True)
 class CompareCommand(Command):
     """Compare two calibrations of one rig, or a surface with its reference: where they differ, and by how many
     sigmas."""

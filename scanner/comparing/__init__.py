@@ -1,7 +1,17 @@
-"""Comparison of two calibrations of one rig, and of surfaces: where they differ, and whether their sigmas allow it."""
+"""Comparison of calibrations and of surfaces, where they differ and by how many sigmas; and clouds in one frame."""
 
 from scanner.comparing.comparison import CalibrationComparison, Sheet, compare_files
 from scanner.comparing.page import COMPARE_FILE, COMPARE_PAGE, write_compare, write_compare_page
+from scanner.comparing.registering import (
+    REGISTER_FILE,
+    REGISTERED_FILE,
+    RegisteredClouds,
+    register_clouds,
+    registration_rows,
+    registration_verdict,
+    write_registered_cloud,
+    write_registration,
+)
 from scanner.comparing.summary import comparison_verdict, headings, rows, table
 from scanner.comparing.surface_comparison import Conformity, SurfaceComparison, compare_surfaces
 from scanner.comparing.surface_files import (

@@ -69,6 +69,7 @@ ASKED: dict[str, list[tuple[tuple[str, ...], int, str]]] = {
     "board": [(("--print", "charuco:A4"), 0, "→ Print it")],
     "room": [(("one", "one", "--config", "room.yaml", "--out", "whole"), 2, "one")],
     "compare": [(("one", "again"), 0, "→ ")],
+    "register": [(("one", "--out", "registered"), 2, "expected two clouds or more")],
     "import": [(("patterns", "--from", "opencv"), 2, "patterns")],
 }
 WITH_EXTRA = {
