@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 # Container images often keep Python from writing bytecode: every process would compile all modules anew, for seconds.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup ready scan room object console scan-loopback scan-loopback-stream rig try-rig try-browser test lint check-types bytecode unit benchmark paper docs fuzz clean
+.PHONY: help setup scan room object console scan-loopback scan-loopback-stream rig try-rig try-browser test lint check-types bytecode unit benchmark paper docs fuzz clean
 
 help:
 	@echo "make scan           set up, then scan a simulated room from three places into scans/room-sim/"
@@ -25,15 +25,14 @@ help:
 	@echo "make clean          remove $(VENV)/ and caches; scans/ is kept"
 
 # Installing waits for the network and the compiler for the processor: side by side.
-ready: $(VENV)/.core
+setup: $(VENV)/.core
 	@$(MAKE) --no-print-directory --jobs 2 $(VENV)/.runtime $(VENV)/.compiled
-
-setup: ready
 	@$(MAKE) --no-print-directory $(VENV)/.console
 
-# The packages of scan view and scan console are installed when the result is there, which needs none of them.
-scan: ready
+# What a scan does not need, Open3D and the packages of scan view and scan console, is installed when the result is there.
+scan: $(VENV)/.core $(VENV)/.compiled
 	$(BIN)/scan --config configs/room-sim.yaml --captures 3 --out scans/room-sim --overwrite
+	@test -e $(VENV)/.console || echo "Installing what whole rooms, objects and pages in the browser need …"
 	@$(MAKE) --no-print-directory $(VENV)/.console
 
 room: setup
@@ -127,11 +126,12 @@ install   = $(pip) --editable '.$(1)' && rm -rf $(COPIES)
 .PHONY: a-copy
 a-copy:
 
-# All but Open3D, which takes as long as all the rest and which few commands need: enough to compile with.
-$(VENV)/.core: pyproject.toml | $(BIN)/pip
+# All but Open3D, which takes as long as all the rest and which few commands need: enough to compile and to scan with.
+$(VENV)/.core: pyproject.toml $(if $(COPIES),a-copy) | $(BIN)/pip
 	$(BIN)/python -c 'import tomllib; print(*(package for package in tomllib.load(open("pyproject.toml", "rb"))["project"] \
 		["dependencies"] if not package.startswith("open3d")), sep="\n")' > $(VENV)/core.txt
 	$(pip) --requirement $(VENV)/core.txt
+	$(pip) --no-deps --editable . && rm -rf $(COPIES)
 	@touch $@
 
 $(VENV)/.runtime: pyproject.toml $(if $(COPIES),a-copy) | $(VENV)/.core
