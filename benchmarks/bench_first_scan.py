@@ -86,7 +86,9 @@ class Watch:
             now_s = time.perf_counter()
             steps = sorted({step for step, _ in found.values()} - {_REST}) or [_REST]
             self.clock_s[" and ".join(steps)] += now_s - before_s
-            self.processors_s |= found
+            for number, (step, seconds) in found.items():
+                before = self.processors_s.get(number)  # one that has ended has no command line any more
+                self.processors_s[number] = (before[0] if before and step == _REST else step), seconds
             before_s = now_s
             if self.result_s is None and self._result.exists():
                 self.result_s = now_s - self._begin_s
