@@ -14,7 +14,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
+from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 from rich.console import Console
@@ -64,7 +65,7 @@ class Watch:
 
     def __init__(self, process: subprocess.Popen[str], result: Path) -> None:
         self._process, self._result = process, result
-        self.clock_s: Counter[str] = Counter()
+        self.clock_s: defaultdict[str, float] = defaultdict(float)
         self.processors_s: dict[int, tuple[str, float]] = {}
         self.result_s: float | None = None
         self._thread = threading.Thread(target=self._watch)
@@ -94,6 +95,10 @@ class Watch:
                 self.result_s = now_s - self._begin_s
 
 
+def _largest_first(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
+    return sorted(seconds.items(), key=lambda item: -item[1])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep-packages", action="store_true", help="take packages from pip's cache")
@@ -120,14 +125,16 @@ def main() -> None:
     for column in ("what ran", "s by the clock"):
         table.add_column(column, justify="left" if column == "what ran" else "right")
     table.add_row("git clone", f"{cloned_s:.1f}")
-    for steps, seconds in watch.clock_s.most_common():
+    for steps, seconds in _largest_first(watch.clock_s):
         table.add_row(steps, f"{seconds:.1f}")
-    by_step: Counter[str] = Counter()
+    by_step: defaultdict[str, float] = defaultdict(float)
     for step, seconds in watch.processors_s.values():
         by_step[step] += seconds
     console = Console()
     console.print(table)
-    console.print("Processor seconds: " + ", ".join(f"{step} {seconds:.1f}" for step, seconds in by_step.most_common()))
+    console.print(
+        "Processor seconds: " + ", ".join(f"{step} {seconds:.1f}" for step, seconds in _largest_first(by_step))
+    )
     to_result_s = cloned_s + watch.result_s
     share = to_result_s / LIMIT_S
     console.print(f"The result was there after {to_result_s:.1f} s ({share:.2f} of the limit, {LIMIT_S:g} s)")
