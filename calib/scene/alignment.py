@@ -1,13 +1,14 @@
 """Observations of a scene whose calibration is nearly known: pictures aligned around corners, surfaces that coincide.
 
 The surface around a pixel of one station tells where it is in another's picture, and how the picture around it is
-warped there. What is left, a shift, is found by least squares on grey levels (Lucas and Kanade, "An iterative image
-registration technique", 1981; Baker and Matthews, "Lucas-Kanade 20 years on", 2004). A surface without a pattern still
-tells, at each of its pixels, that what the projector lights there is on it.
+warped there: to second order, for surfaces that all bulge would shift all points alike otherwise. What is left, a
+shift, is found by least squares on grey levels (Lucas and Kanade, "An iterative image registration technique", 1981;
+Baker and Matthews, "Lucas-Kanade 20 years on", 2004). A surface without a pattern still tells, at each of its pixels,
+that what the projector lights there is on it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from calib.geometry import radial_distortion as lens
 from calib.numerics import Bools, Floats, Floats32, Ints, at_random
 from calib.refinement import State
 from calib.scene.bundle import ANYWHERE_PX, CHOSEN_PX, NOTHING_OBSERVED, RigidScene, SceneObservations
-from calib.scene.views import WINDOW_PIXELS, Lifted, MatchedView, lift
+from calib.scene.views import WINDOW_PIXELS, Lifted, MatchedView, lift, monomials, quadratic_maps
 
 _CORNERS, _QUALITY, _APART_PX = 200, 0.003, 6.0  # of a picture: how many, least share of the best, distance
 _HALF = 7  # pixels around a corner that are compared
@@ -29,6 +30,7 @@ _LEAST_CORRELATION = 0.8
 _OVERLAP = 2.0  # windows on a surface that use one pixel: less wastes what it tells
 _LEAST_GAIN = 0.1
 _MOST_STRETCH = 2.5
+_STENCIL = _HALF / 2 * np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).reshape(-1, 2)
 _TERMS = 6  # of an alignment: shift, gain, level and its slopes
 # Between where the projector should light a point and where it does: what hides it is further off than most points are.
 _OCCLUDED_PX, _OCCLUDED, _MOST_OFF_PX = 2.0, 5.0, 30.0
@@ -47,6 +49,8 @@ class _Patches:
     """(K, 3), in the station's camera frame."""
     tangents: Floats
     """(K, 3, 2): derivatives of `points` by `camera_px`."""
+    around: Floats
+    """(K, 9, 3): the surface at the `_STENCIL` around `camera_px`; (K, 0, 3) where no pictures are compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +63,8 @@ class _Projected:
     """(M, 2)."""
     warp: Floats
     """(M, 2, 2): derivatives of `camera_px` by the pixel of the patch's own station."""
+    around: Floats
+    """(M, 9, 2): where the surface at the `_STENCIL` is seen; (M, 0, 2) where no pictures are compared."""
 
     def __len__(self) -> int:
         return len(self.number)
@@ -78,7 +84,7 @@ def align(scene: RigidScene, views: Sequence[MatchedView]) -> tuple[SceneObserva
         points.append(scene.stations[number].inverse() @ patches.points[chosen])
 
     for number, view in enumerate(views):
-        corners = _patches(scene.rig, view, _corners(view.brightness, is_free[number]))
+        corners = _with_surface(scene.rig, view, _patches(scene.rig, view, _corners(view.brightness, is_free[number])))
         tracks = _tracked(scene, views, number, corners, pictures)
         add(number, corners, tracks)
         for station, pixels in zip(
@@ -170,12 +176,21 @@ def _is_flat(lifted: Lifted) -> Bools:
 
 def _patches(rig: State, view: MatchedView, pixels: Floats) -> _Patches:
     lifted = lift(view.places, pixels)
-    patches = _Patches(pixels, lifted, *surface_at(rig, pixels, lifted.projector_px, lifted.slope))
-    return _some_of(patches, lifted.is_smooth)
+    points, tangents = surface_at(rig, pixels, lifted.projector_px, lifted.slope)
+    return _some_of(_Patches(pixels, lifted, points, tangents, np.zeros((len(pixels), 0, 3))), lifted.is_smooth)
+
+
+def _with_surface(rig: State, view: MatchedView, patches: _Patches) -> _Patches:
+    """The patches with the surface around them, as far as pictures are compared."""
+    fit, _, _ = quadratic_maps(view.places, patches.camera_px, _HALF)
+    camera_px = patches.camera_px[:, None] + _STENCIL
+    projector_px = monomials(*_STENCIL.T) @ fit
+    around = _points(rig, camera_px.reshape(-1, 2), projector_px.reshape(-1, 2))
+    return replace(patches, around=around.reshape(*camera_px.shape[:2], 3))
 
 
 def _some_of(patches: _Patches, kept: Bools) -> _Patches:
-    return _Patches(patches.camera_px[kept], patches.lifted[kept], patches.points[kept], patches.tangents[kept])
+    return _Patches(*(getattr(patches, field.name)[kept] for field in fields(_Patches)))
 
 
 def surface_at(rig: State, camera_px: Floats, projector_px: Floats, slope: Floats) -> tuple[Floats, Floats]:
@@ -219,7 +234,9 @@ def _projected(rig: State, motion: Pose, patches: _Patches, view: MatchedView) -
         off = np.abs(lifted.projector_px - lit_px[number]).max(axis=1)
         usual = float(np.median(off[lifted.is_smooth])) if lifted.is_smooth.any() else 0.0
         number = number[lifted.is_smooth & (off < min(_OCCLUDED_PX + _OCCLUDED * usual, _MOST_OFF_PX))]
-    return _Projected(number, pixels[number], warp[number])
+    around = motion @ patches.around[number].reshape(-1, 3)
+    around_px, _, _ = lens.project(rig.camera, around)
+    return _Projected(number, pixels[number], warp[number], around_px.reshape(*patches.around[number].shape[:2], 2))
 
 
 def _shifts(own: Floats32, other: Floats32, own_px: Floats, projected: _Projected) -> tuple[Floats, Floats]:
@@ -239,7 +256,7 @@ def _shifts(own: Floats32, other: Floats32, own_px: Floats, projected: _Projecte
     slopes = np.broadcast_to(np.column_stack([np.ones(len(offsets)), offsets]), (*patch.shape, 3))
     design = np.concatenate([gradient, patch[..., None], slopes], axis=-1) * root[:, None]
     inverse = np.linalg.pinv(design)  # (M, 6, P)
-    there = projected.camera_px[:, None] + offsets @ np.swapaxes(projected.warp, 1, 2)
+    there = monomials(*offsets.T) @ (np.linalg.pinv(monomials(*_STENCIL.T)) @ projected.around)
     shift = np.zeros_like(own_px)
     for _ in range(_STEPS):
         level = _sampled(other, there + shift[:, None])

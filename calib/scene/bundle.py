@@ -162,7 +162,7 @@ def evaluate(
     gradient[:SHARED] += pull
     information[range(SHARED), range(SHARED)] += curvature
 
-    residuals = _observed(scene, observations, spread)
+    residuals = residuals_of(scene, observations, spread)
     cost += float(huber_loss(residuals.lengths, HUBER_SIGMAS).sum()) + _BEHIND * residuals.behind
     own_pull, own_curvature = residuals.by_columns(observations, size)
     gradient += own_pull
@@ -196,21 +196,24 @@ def adjust(
     """The most likely scene near one, until a step would gain less than `converged` of the cost."""
     free = np.concatenate([np.flatnonzero(prior.free[:SHARED]), np.arange(SHARED, scene.size)])
 
-    def after(at: SceneFit, step: Floats) -> SceneFit:
-        own, by_step = at.by_points
-        moved = at.scene.moved(step, -own - by_step @ step)
-        return evaluate(_intersected(moved, observations, spread), observations, matches, spread, prior)
-
-    start = evaluate(scene, observations, matches, spread, prior)
     return descend(
-        start,
-        after,
+        evaluate(scene, observations, matches, spread, prior),
+        lambda fit, step: evaluate_after(fit, step, observations, matches, spread, prior),
         lambda cost, decrement: decrement < converged * cost,
         _DAMPING,
         steps,
         free=free,
         least_gain=converged,
     )
+
+
+def evaluate_after(
+    fit: SceneFit, step: Floats, observations: SceneObservations, matches: Matches, spread: ErrorScales, prior: Prior
+) -> SceneFit:
+    """The fit after a step of the columns (size,), with points where their rays meet."""
+    own, by_step = fit.by_points
+    moved = fit.scene.moved(step, -own - by_step @ step)
+    return evaluate(_intersected(moved, observations, spread), observations, matches, spread, prior)
 
 
 def _intersected(scene: RigidScene, observations: SceneObservations, spread: ErrorScales) -> RigidScene:
@@ -220,27 +223,15 @@ def _intersected(scene: RigidScene, observations: SceneObservations, spread: Err
     linear predictions (Jeong et al., "Pushing the envelope of modern methods for bundle adjustment", 2012).
     """
     for _ in range(_POINT_STEPS):
-        residuals = _observed(scene, observations, spread)
+        residuals = residuals_of(scene, observations, spread)
         own, pull = residuals.of_points(observations)
         step = np.asarray(np.linalg.solve(own, pull[..., None])[..., 0], np.float64)
         scene = replace(scene, points=scene.points - step)
     return scene
 
 
-def scores(
-    scene: RigidScene, observations: SceneObservations, matches: Matches, spread: ErrorScales
-) -> tuple[Floats, Floats]:
-    """Half the gradient of the cost of each point (N, size), and of each match (L, 21), at a minimum."""
-    residuals = _observed(scene, observations, spread)
-    own, pull_on_points, mixed = residuals.by_points(observations, scene.size)
-    pull = residuals.pulls(observations, scene.size)
-    pull -= (np.linalg.solve(own, pull_on_points[..., None])[:, None, :, 0] @ mixed)[:, 0]
-    miss, by_shared = missed(scene.rig, matches, spread)
-    return pull, by_shared * (huber_weights(np.abs(miss), HUBER_SIGMAS) * miss)[:, None]
-
-
 @dataclass(frozen=True, eq=False)
-class _Residuals:
+class Residuals:
     """Residuals of observations with their derivatives, and sums of these."""
 
     values: Floats
@@ -279,9 +270,9 @@ class _Residuals:
                 curvature[columns, columns] = (station * self.weight[own].reshape(-1, 1)).T @ station
         return pull, curvature
 
-    def pulls(self, observations: SceneObservations, size: int) -> Floats:
-        """Half the gradient (N, size) by the columns, of each point's observations."""
-        weighted = (self.weight * self.values)[:, None]
+    def pulls(self, observations: SceneObservations, size: int, values: Floats | None = None) -> Floats:
+        """Half the gradient (N, size) by the columns, of each point's observations, or of other `values` (M, 4)."""
+        weighted = (self.weight * (self.values if values is None else values))[:, None]
         pulls = np.zeros((int(observations.point.max(initial=-1)) + 1, size))
         pulls[:, :SHARED] = observations.sums((weighted @ self.by_rig)[:, 0])
         for columns, own in _of_stations(observations, size):
@@ -299,6 +290,27 @@ class _Residuals:
         own = observations.sums(self._across @ self.by_point)
         own += 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
         return own, observations.sums((self._across @ self.values[..., None])[..., 0])
+
+    def changes(self, observations: SceneObservations, steps: Floats) -> Floats:
+        """Changes (M, 4) of the values by a step (N, size) of the columns for each point, which follows its own."""
+        own, _, mixed = self.by_points(observations, steps.shape[1])
+        of_points = -np.linalg.solve(own, mixed @ steps[..., None])[..., 0]
+        by_point = observations.point
+        change: Floats = np.einsum("mrc,mc->mr", self.by_rig, steps[by_point, :SHARED])
+        change += np.einsum("mrc,mc->mr", self.by_point, of_points[by_point])
+        for columns, own_rows in _of_stations(observations, steps.shape[1]):
+            if columns is not None:
+                moved = steps[by_point[own_rows], columns]
+                change[own_rows] += np.einsum("mrc,mc->mr", self.by_station[own_rows], moved)
+        return change
+
+    def freedom(self, observations: SceneObservations) -> Floats:
+        """2 less the leverage of each keypoint and of its projector pixel on their point, (M, 2)."""
+        own, _ = self.of_points(observations)
+        spread = np.linalg.solve(own[observations.point], self._across)
+        leverage = np.einsum("mri,mir->mr", self.by_point, spread)
+        left: Floats = 2 - leverage.reshape(-1, 2, 2).sum(axis=2)
+        return left
 
     def by_points(self, observations: SceneObservations, size: int) -> tuple[Floats, Floats, Floats]:
         """Half the points' own curvature (N, 3, 3), half the gradient (N, 3), and mixed derivatives (N, 3, size)."""
@@ -319,7 +331,8 @@ def _of_stations(observations: SceneObservations, size: int) -> Iterator[tuple[s
         yield slice(start, start + PER_POSE) if number else None, np.flatnonzero(observations.station == number)
 
 
-def _observed(scene: RigidScene, seen: SceneObservations, spread: ErrorScales) -> _Residuals:
+def residuals_of(scene: RigidScene, seen: SceneObservations, spread: ErrorScales) -> Residuals:
+    """Those of all observations of a scene."""
     rig, pose = scene.rig, scene.rig.pose
     stations = Pose.stack(scene.stations)[seen.station]
     turned = np.einsum("mij,mj->mi", stations.rotation, scene.points[seen.point])
@@ -347,7 +360,7 @@ def _observed(scene: RigidScene, seen: SceneObservations, spread: ErrorScales) -
     by_rig *= root[..., None]
     by_station = np.concatenate([-by_place @ cross_matrix(turned), by_place], axis=2)
     by_point = by_place @ stations.rotation
-    return _Residuals(root * residual, by_rig, by_station, by_point, int(np.count_nonzero(behind)))
+    return Residuals(root * residual, by_rig, by_station, by_point, int(np.count_nonzero(behind)))
 
 
 def missed(rig: State, matches: Matches, spread: ErrorScales) -> tuple[Floats, Floats]:

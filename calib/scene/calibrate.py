@@ -21,6 +21,7 @@ from calib.refinement import (
 )
 from calib.refusal import RefusalError
 from calib.scene.bundle import NOTHING_OBSERVED, RigidScene, SceneFit
+from calib.scene.covariance import covariance_of_rig
 from calib.scene.next_station import NextStation, best_next_station
 from calib.scene.problem import FEWEST_POINTS, FEWEST_STATIONS, SceneProblem, sharpened
 from calib.scene.start import SceneStart, starts_of, with_motions
@@ -231,7 +232,7 @@ def _concluded(
     stations: tuple[int, ...],
     sizes: tuple[tuple[int, int], tuple[int, int]],
 ) -> SceneCalibration:
-    rig, covariance = fit.scene.rig, problem.covariance(fit)
+    rig, covariance = fit.scene.rig, covariance_of_rig(problem, fit)
     calibration = calibration_of(rig, *sizes, sigmas_of(rig, covariance))
     uncertainty = Uncertainty(rig, covariance, None, problem.spread.matches * _usual(problem.matches))
     return SceneCalibration(calibration, uncertainty, stations, problem, fit)

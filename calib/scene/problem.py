@@ -9,8 +9,16 @@ from calib.geometry import Matches
 from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, robust_sigma
 from calib.refinement import SHARED, Prior
 from calib.scene.alignment import align
-from calib.scene.bundle import CONVERGED, ErrorScales, RigidScene, SceneFit, SceneObservations, adjust, scores
-from calib.scene.views import WINDOW_PIXELS, MatchedView
+from calib.scene.bundle import (
+    CONVERGED,
+    ErrorScales,
+    RigidScene,
+    SceneFit,
+    SceneObservations,
+    adjust,
+    residuals_of,
+)
+from calib.scene.views import MatchedView
 
 FEWEST_STATIONS, FEWEST_POINTS = 3, 20
 _ANNEALING, _STEPS = (20.0, 5.0, 1.0), 20  # factors on the first guess of the spread, steps with each
@@ -19,6 +27,7 @@ _SHARPENED = _ANNEALING, (1.0,)  # each time that pictures and surfaces are alig
 _ROUNDS = 3  # of measuring the spread
 _ROUGHLY = 1e-4  # convergence before the last of them
 _LEAST_SHARE = 0.5  # of the usual share of observations that are no outliers, of a station in its place
+_LEAST_FREEDOM = 0.2  # of an observation, by which its residual is judged
 _OUTLYING = 4.0  # sigmas, of an observation that is left out
 
 
@@ -57,7 +66,7 @@ class SceneProblem:
         """The problem without outliers and with the spread that residuals show, and its solution."""
         problem = self
         for number in range(1, _ROUNDS + 1):
-            growth, of_matches = _growth(fit, problem.observations), robust_sigma(fit.miss)
+            growth, of_matches = problem._growth(fit), robust_sigma(fit.miss)
             within = (np.abs(fit.residual.reshape(-1, 2, 2)).max(axis=2) < _OUTLYING * growth).all(axis=1)
             problem = replace(problem, spread=problem.spread.grown(growth, of_matches))
             problem, scene = problem._of(within, fit.scene)
@@ -69,36 +78,29 @@ class SceneProblem:
             )
         return problem, fit
 
-    def covariance(self, fit: SceneFit) -> Floats:
-        """Of the rig's columns, (21, 21): the mean of what the curvature says and what scores of places say.
-
-        Errors of keypoints have long tails, and points nearby share pixels of the pictures, which the second accounts
-        for (White, "Maximum likelihood estimation of misspecified models", 1982; Liang and Zeger, "Longitudinal data
-        analysis using generalized linear models", 1986). So does the first, by a factor.
-        """
-        free = self._free(fit.scene.size)
-        inverse = self.inverted(fit.information)[np.ix_(free, free)]
-        by_point, by_match = scores(fit.scene, self.observations, self.matches, self.spread)
-        by_place = _summed(by_point, _places(fit.scene))
-        scatter = by_place.T @ by_place
-        scatter[:SHARED, :SHARED] += by_match.T @ by_match
-        scatter[range(SHARED), range(SHARED)] += self.prior.root_precision[:SHARED] ** 2
-        by_scores = inverse @ scatter[np.ix_(free, free)] @ inverse
-        shared = max(1.0, float(np.trace(scatter[np.ix_(free, free)] @ inverse)) / len(free))
-        covariance = np.zeros((fit.scene.size, fit.scene.size))
-        covariance[np.ix_(free, free)] = (shared * inverse + by_scores) / 2
-        return covariance[:SHARED, :SHARED]
-
     def inverted(self, information: Floats) -> Floats:
         """The covariance (size, size) by an information (size, size); zero where a column is held."""
-        free = self._free(len(information))
+        free = self.free_columns(len(information))
         scale = np.sqrt(np.diag(information)[free])
         inverse = np.linalg.pinv(information[np.ix_(free, free)] / np.outer(scale, scale), hermitian=True)
         covariance = np.zeros_like(information)
         covariance[np.ix_(free, free)] = inverse / np.outer(scale, scale)
         return covariance
 
-    def _free(self, size: int) -> Ints:
+    def _growth(self, fit: SceneFit) -> Floats:
+        """Sigmas (2,) of keypoints and of their projector pixels in the units of a fit's residuals.
+
+        A point follows both, in its own way: each is given the degrees of freedom that it has left.
+        """
+        left = residuals_of(fit.scene, self.observations, self.spread).freedom(self.observations)
+        length = np.linalg.norm(fit.residual.reshape(-1, 2, 2), axis=2) / np.sqrt(np.maximum(left, _LEAST_FREEDOM) / 2)
+        located = self.observations.is_located
+        medians = np.array([np.median(length[located, 0]), np.median(length[:, 1])])
+        growth: Floats = np.maximum(medians / MEDIAN_LENGTH, 0.1)
+        return growth
+
+    def free_columns(self, size: int) -> Ints:
+        """Those (F,) of a scene's columns that are estimated."""
         return np.concatenate([np.flatnonzero(self.prior.free[:SHARED]), np.arange(SHARED, size)])
 
     def _of(self, kept: Bools, scene: RigidScene) -> "tuple[SceneProblem, RigidScene]":
@@ -162,30 +164,3 @@ def _fitting(observations: SceneObservations, kept: SceneObservations, stations:
     share = after / np.maximum(before, 1)
     fits = (after >= FEWEST_POINTS) & (share > _LEAST_SHARE * np.median(share))
     return np.flatnonzero(fits).tolist()
-
-
-def _places(scene: RigidScene) -> Ints:
-    """The cube (N,) of each point, of the size of two windows of pixels."""
-    size = 2 * np.sqrt(WINDOW_PIXELS) * float(np.median(scene.points[:, 2])) / scene.rig.camera[0]
-    cubes = np.floor(scene.points / size).astype(np.int64)
-    _, number = np.unique(cubes, axis=0, return_inverse=True)
-    return number.reshape(-1)
-
-
-def _summed(values: Floats, group: Ints) -> Floats:
-    """Sums (G, C) of `values` (N, C) by their groups (N,)."""
-    total = np.zeros((int(group.max(initial=-1)) + 1, values.shape[1]))
-    np.add.at(total, group, values)
-    return total
-
-
-def _growth(fit: SceneFit, observations: SceneObservations) -> Floats:
-    """Sigmas (2,) of keypoints and of their projector pixels in the units of a fit's residuals."""
-    located = observations.is_located
-    rows = 2 * len(located) + 2 * int(np.count_nonzero(located))
-    free = 3 * len(fit.scene.points) - 2 * int(np.count_nonzero(observations.is_chosen)) + fit.scene.size
-    left = np.sqrt(max(1 - free / rows, 0.1))
-    keypoints, lifted = np.moveaxis(np.linalg.norm(fit.residual.reshape(-1, 2, 2), axis=2), 1, 0)
-    medians = np.array([np.median(keypoints[located]), np.median(lifted)])
-    growth: Floats = np.maximum(medians / (MEDIAN_LENGTH * left), 0.1)
-    return growth

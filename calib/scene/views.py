@@ -207,8 +207,24 @@ def _keypoints(picture: NDArray[np.uint8], mask: NDArray[np.uint8]) -> tuple[Flo
 
 def lift(places: Floats, pixels: Floats) -> Lifted:
     """Projector pixels at camera pixels (K, 2), by a quadratic map of the `places` (H, W, 3) around."""
+    fit, rms, sigma = quadratic_maps(places, pixels, _HALF_WINDOW)
+    return Lifted(fit[:, 0], np.swapaxes(fit[:, 1:3], 1, 2), np.maximum(sigma, 1e-3), rms)
+
+
+def monomials(x: Floats, y: Floats) -> Floats:
+    """1, x, y, x², x y, y² of values (...), (..., 6)."""
+    return np.stack([np.ones(x.shape), x, y, x**2, x * y, y**2], axis=-1)
+
+
+def quadratic_maps(places: Floats, pixels: Floats, half: int) -> tuple[Floats, Floats, Floats]:
+    """Quadratic maps to projector pixels from the offset to camera pixels (K, 2): coefficients (K, 6, 2) of
+    `monomials`, the rms (K,) of the `places` (H, W, 3) about them, infinite where there are too few, and their mean
+    sigma (K,).
+
+    By the places up to `half` pixels away in both directions.
+    """
     height, width = places.shape[:2]
-    steps = np.arange(-_HALF_WINDOW, _HALF_WINDOW + 1)
+    steps = np.arange(-half, half + 1)
     column, row = np.rint(pixels).astype(np.int64).T
     x = np.clip(column[:, None, None] + steps[None, None, :], 0, width - 1)
     y = np.clip(row[:, None, None] + steps[None, :, None], 0, height - 1)
@@ -216,7 +232,7 @@ def lift(places: Floats, pixels: Floats) -> Lifted:
     around = places[y, x].reshape(len(pixels), len(steps) ** 2, 3)
     known = np.isfinite(around[..., 0])
     right, down = (at.reshape(known.shape) - pixels[:, k : k + 1] for k, at in enumerate((x, y)))
-    design = np.stack([np.ones(known.shape), right, down, right**2, right * down, down**2], axis=-1)
+    design = monomials(right, down)
     weighted = design * known[..., None]
     values = np.where(known[..., None], around[..., :2], 0.0)
     normal = np.einsum("kni,knj->kij", weighted, design) + 1e-9 * np.eye(design.shape[2])
@@ -226,4 +242,4 @@ def lift(places: Floats, pixels: Floats) -> Lifted:
     rms = np.sqrt(np.sum(off**2, axis=(1, 2)) / np.maximum(2 * count - 12, 1))
     sigma = np.where(known, around[..., 2], 0.0).sum(axis=1) / np.maximum(count, 1)
     rms[count < _FEWEST] = np.inf
-    return Lifted(fit[:, 0], np.swapaxes(fit[:, 1:3], 1, 2), np.maximum(sigma, 1e-3), rms)
+    return fit, rms, sigma
