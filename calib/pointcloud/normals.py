@@ -83,8 +83,8 @@ def scattered_surface(points: NDArray[np.float32]) -> SurfaceNormals:
 def _typical(planes: WindowPlanes) -> tuple[float, float]:
     """The median roughness of windows, in footprints, and their median number of points, from a sample."""
     counts = planes.count.ravel()
-    places = np.arange(0, len(counts), max(1, int(np.count_nonzero(counts)) // _SAMPLE))
-    places = places[counts[places] > 0]
+    step = max(1, int(np.count_nonzero(counts)) // _SAMPLE)
+    places = step * np.flatnonzero(counts[::step] > 0)
     roughness, count = planes.roughness.ravel()[places], counts[places]
     fitted = roughness[np.isfinite(roughness)]
     return float(np.median(fitted)) if len(fitted) else 0.0, float(np.median(count))
