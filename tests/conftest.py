@@ -47,14 +47,12 @@ _FLAGS = (
 
 
 # Objects that are made before the garbage collector looks at the young ones: it took a tenth of some tests.
-_YOUNG_OBJECTS = 10_000
+gc.set_threshold(10_000)
 
 
 def pytest_collection_finish() -> None:
     """Let the garbage collector leave out the modules and tests, which stay to the end."""
-    gc.collect()
     gc.freeze()
-    gc.set_threshold(_YOUNG_OBJECTS)
 
 
 @pytest.fixture(scope="session")
