@@ -25,11 +25,12 @@ from tests.support import small_capture
 from tests.support.cloud_scene import room
 from tests.support.command_line import run
 from tests.support.findings import Decision, decided_alike, scramble_words
+from tests.support.known_rigs import SMALL_CAMERA
 from tests.support.result_folder import calibrated_report, refused_report
 from tests.support.small_capture import PATTERNS, SIZE, read_listing, write_capture, write_listing
 
 CONFIG = """
-camera: {{width: 2448, height: 2048, principal_point: {{known: [1256.3, 1054.3]}}}}
+camera: {{width: 612, height: 512, principal_point: {{known: [313.7, 263.2]}}}}
 projector: {{width: 854, height: 480}}
 corner: {{squareness_deg: {squareness_deg}}}
 method: {method}
@@ -98,13 +99,13 @@ def test_the_grade_of_a_capture_is_not_in_its_words(
 
 def two_captures(folder: Path) -> list[object]:
     """Arguments that calibrate from two captures of one corner."""
-    captures = random_captures(np.random.default_rng(5), 2, count=1500, noise_px=0.05)
+    captures = random_captures(np.random.default_rng(5), 2, camera=SMALL_CAMERA, count=1500, noise_px=0.05)
     return calibrate(folder, *(capture.matches for capture in captures))
 
 
 def one_place(folder: Path) -> list[object]:
     """The same of one place, twice."""
-    (capture,) = random_captures(np.random.default_rng(5), 1, count=1500, noise_px=0.05)
+    (capture,) = random_captures(np.random.default_rng(5), 1, camera=SMALL_CAMERA, count=1500, noise_px=0.05)
     off = np.random.default_rng(6).normal(0, 0.05, capture.matches.projector_px.shape)
     again = replace(capture.matches, projector_px=capture.matches.projector_px + off)
     return calibrate(folder, capture.matches, again)
@@ -112,32 +113,34 @@ def one_place(folder: Path) -> list[object]:
 
 def slanted_walls(folder: Path) -> list[object]:
     """Two captures of walls that are farther from square than was allowed for."""
-    captures = random_captures(np.random.default_rng(5), 2, count=1500, noise_px=0.05, walls_off_deg=1.5)
+    captures = random_captures(
+        np.random.default_rng(5), 2, camera=SMALL_CAMERA, count=1500, noise_px=0.05, walls_off_deg=1.5
+    )
     return calibrate(folder, *(capture.matches for capture in captures), squareness_deg=0.3)
 
 
 def stretched(folder: Path) -> list[object]:
     """A projector that squeezes its picture, before a corner that is taken as square."""
-    (capture,) = random_captures(np.random.default_rng(5), 1, count=1500, noise_px=0.05)
+    (capture,) = random_captures(np.random.default_rng(5), 1, camera=SMALL_CAMERA, count=1500, noise_px=0.05)
     matches = replace(capture.matches, projector_px=capture.matches.projector_px * (1.0, 0.8))
     return calibrate(folder, matches)
 
 
 def by_the_paper(folder: Path) -> list[object]:
     """The paper's method."""
-    (capture,) = random_captures(np.random.default_rng(5), 1, count=1500, noise_px=0.05)
+    (capture,) = random_captures(np.random.default_rng(5), 1, camera=SMALL_CAMERA, count=1500, noise_px=0.05)
     return calibrate(folder, capture.matches, method="paper")
 
 
 def flat_wall(folder: Path) -> list[object]:
     """A camera that looks at a flat wall."""
-    pixels = np.random.default_rng(1).uniform((0, 0), (2447, 2047), (3000, 2))
-    return calibrate(folder, Matches(pixels, 0.2 * pixels))
+    pixels = np.random.default_rng(1).uniform((0, 0), (611, 511), (3000, 2))
+    return calibrate(folder, Matches(pixels, 0.8 * pixels))
 
 
 def hardly_any(folder: Path) -> list[object]:
     """Two dozen matches."""
-    (capture,) = random_captures(np.random.default_rng(5), 1, count=1500, noise_px=0.05)
+    (capture,) = random_captures(np.random.default_rng(5), 1, camera=SMALL_CAMERA, count=1500, noise_px=0.05)
     return calibrate(folder, Matches(capture.matches.camera_px[::60], capture.matches.projector_px[::60]))
 
 

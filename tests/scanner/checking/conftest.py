@@ -13,6 +13,7 @@ from scanner.checking.check import check_rig
 from scanner.checking.report import CheckReport, CheckRow
 from scanner.io import write_matches
 from scanner.ui import Terminal
+from tests.support.known_rigs import SMALL_CAMERA
 from tests.support.rig_bench import CAMERA, PERIOD_US, PROJECTOR, changed, config, rig_in
 
 
@@ -38,7 +39,7 @@ def usual(room: SimulatedRoom, rows_of_usual: list[CheckRow]) -> CheckReport:
 def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, list[Path]]:
     """The true calibration, and matches of three captures of a corner."""
     folder = tmp_path_factory.mktemp("captures")
-    captures = random_captures(np.random.default_rng(3), 3, count=20_000)
+    captures = random_captures(np.random.default_rng(3), 3, camera=SMALL_CAMERA, count=6_000)
     paths = [folder / f"{number}.npz" for number in range(3)]
     for path, capture in zip(paths, captures, strict=True):
         write_matches(path, capture.matches)
