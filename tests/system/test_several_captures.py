@@ -14,14 +14,15 @@ from scanner.quantities import intrinsic_errors_percent
 from scanner.reconstruction import read_captures
 from scanner.results import read_uncertainty, read_verdict
 from tests.support.command_line import names, run
+from tests.support.known_rigs import SMALL_CAMERA
 from tests.support.small_capture import SIZE, write_capture
 
 CONFIG = """
-camera: {width: 2448, height: 2048, principal_point: {known: [1256.3, 1054.3]}}
+camera: {width: 612, height: 512, principal_point: {known: [313.7, 263.2]}}
 projector: {width: 854, height: 480}
 corner: {squareness_deg: 0}
 """
-SIZES = Size(2448, 2048), Size(854, 480)
+SIZES = SMALL_CAMERA.size, Size(854, 480)
 
 pytestmark = pytest.mark.xdist_group("several captures")
 
@@ -44,7 +45,7 @@ class Given:
 
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> Given:
-    captures = random_captures(np.random.default_rng(5), 2, count=1500, noise_px=0.05)
+    captures = random_captures(np.random.default_rng(5), 2, camera=SMALL_CAMERA, count=1500, noise_px=0.05)
     made = Given(tmp_path_factory.mktemp("given"), captures)
     for file, capture in zip(made.files, captures, strict=True):
         write_matches(file, capture.matches)
@@ -151,7 +152,7 @@ def of_another_camera(matches: Matches) -> Matches:
     [
         (few_on_a_face, 4, ("b.npz: A face of the corner has 3 matches", "leave this capture out")),
         (two_faces, 2, ("b.npz: 'face' must label three faces, found 2",)),
-        (of_another_camera, 2, ("b.npz: camera_px runs", "camera.width is 2448")),
+        (of_another_camera, 2, ("b.npz: camera_px runs", "camera.width is 612")),
         (lambda matches: matches[:300].with_faces(None), 4, ("b.npz: Only 300 matches",)),
     ],
 )
@@ -197,7 +198,7 @@ def test_a_result_of_another_camera_is_refused(
     )
     arguments = ("--config", given.config, "--out", tmp_path / "out")
     assert run("calibrate", given.files[0], result, *arguments) == 2
-    assert f"{result}: its camera is 1224 × 1024, but 2448 × 2048 is expected" in capsys.readouterr().err
+    assert f"{result}: its camera is 1224 × 1024, but 612 × 512 is expected" in capsys.readouterr().err
 
 
 def test_a_recording_of_another_size_is_refused(
