@@ -4,9 +4,10 @@ World: the walls are the planes x = 0, y = 0 and z = 0 (the floor), the room is 
 Only the camera model is shared with the code under test.
 """
 
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cache, cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from filming.camera import Camera, Clip, film
@@ -163,19 +164,23 @@ CAMERA, PROJECTOR = (384, 216), (256, 144)
 BIT_RATE = 1.5e6
 
 
+@cache
+def _filmed_room() -> SimulatedRoom:
+    return SimulatedRoom(SimulatedRigSettings(furniture=False, interreflection=False), CAMERA, PROJECTOR)
+
+
 @dataclass
 class FilmedRoom:
-    """`folder` receives the video, its sequence.yaml and the recordings; pictures last `hold_s`."""
+    """One room, filmed: `folder` receives the video, its sequence.yaml and the recordings; pictures last `hold_s`."""
 
     folder: Path
     hold_s: float = 0.1
     preset: PresetName = "quick"
-    seen: dict[bytes, Light] = field(default_factory=dict)
+    seen: ClassVar[dict[bytes, Light]] = {}
 
-    @cached_property
+    @property
     def room(self) -> SimulatedRoom:
-        settings = SimulatedRigSettings(furniture=False, interreflection=False)
-        return SimulatedRoom(settings, CAMERA, PROJECTOR)
+        return _filmed_room()
 
     @cached_property
     def programme(self) -> Programme:
