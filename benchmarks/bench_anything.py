@@ -1,8 +1,10 @@
 """Calibrations without a corner or a board, compared with the truth: nothing is known but what stations share.
 
-    python benchmarks/bench_anything.py [--how turned] [--things 10] [--first 0] [--stations 6] [--gloss 0]
+    python benchmarks/bench_anything.py [--how turned] [--things 10] [--first 0] [--stations 6] [--gloss 0] \
+        [--drift 0]
 
-Simulated things of 100 mm before a resting rig, with matches from rays and 0.05 projector px of noise. `--how`:
+Simulated things of 100 mm before a resting rig, with matches from rays and 0.05 projector px of noise; `--drift`: the
+projector's picture is elsewhere at each station, by that many pixels in both directions. `--how`:
 
 - `turned`: by 12 to 25° about random axes,
 - `turntable`: by steps of 15°, and tipped by 30° at one more,
@@ -15,6 +17,8 @@ Seconds are of processor time.
 import argparse
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,12 +50,13 @@ def main() -> None:
     parser.add_argument("--stations", type=int, default=6)
     parser.add_argument("--how", choices=["turned", "turntable", "cluttered", "one-axis"], default="turned")
     parser.add_argument("--gloss", type=float, default=0.0)
+    parser.add_argument("--drift", type=float, default=0.0)
     args = parser.parse_args()
     print("thing  stations  points  f_c %   f_p %    sigma       x_c, y_c px    x_p, y_p px    error/sigma  seconds")
     ratios: list[Floats] = []
     focals: list[float] = []
     for seed in range(args.first, args.first + args.things):
-        stations = _stations(args.how, args.stations, seed, args.gloss)
+        stations = _drifted(_stations(args.how, args.stations, seed, args.gloss), args.drift, seed)
         began = time.process_time()
         try:
             start = rig_from_object(
@@ -91,6 +96,14 @@ def _stations(how: str, count: int, seed: int, gloss: float) -> list[ThingStatio
     if how == "one-axis":
         return steps
     return [*steps, *thing_stations([_TIPPED], _CAMERA, seed, steps=24, gloss=gloss, tip_deg=30.0)]
+
+
+def _drifted(stations: Sequence[ThingStation], drift_px: float, seed: int) -> list[ThingStation]:
+    rng = np.random.default_rng([seed, 21])
+    return [
+        replace(station, matches=replace(station.matches, projector_px=station.matches.projector_px + shift))
+        for station, shift in zip(stations, drift_px * rng.standard_normal((len(stations), 2)), strict=True)
+    ]
 
 
 if __name__ == "__main__":

@@ -281,15 +281,15 @@ class Residuals:
         return pulls
 
     @cached_property
-    def _across(self) -> Floats:
+    def across(self) -> Floats:
         """Weighted derivatives by points, (M, 3, 4)."""
         return np.swapaxes(self.by_point * self.weight[..., None], 1, 2)
 
     def of_points(self, observations: SceneObservations) -> tuple[Floats, Floats]:
         """Half the points' own curvature (N, 3, 3), and half the gradient (N, 3)."""
-        own = observations.sums(self._across @ self.by_point)
+        own = observations.sums(self.across @ self.by_point)
         own += 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
-        return own, observations.sums((self._across @ self.values[..., None])[..., 0])
+        return own, observations.sums((self.across @ self.values[..., None])[..., 0])
 
     def changes(self, observations: SceneObservations, steps: Floats) -> Floats:
         """Changes (M, 4) of the values by a step (N, size) of the columns for each point, which follows its own."""
@@ -307,7 +307,7 @@ class Residuals:
     def freedom(self, observations: SceneObservations) -> Floats:
         """2 less the leverage of each keypoint and of its projector pixel on their point, (M, 2)."""
         own, _ = self.of_points(observations)
-        spread = np.linalg.solve(own[observations.point], self._across)
+        spread = np.linalg.solve(own[observations.point], self.across)
         leverage = np.einsum("mri,mir->mr", self.by_point, spread)
         left: Floats = 2 - leverage.reshape(-1, 2, 2).sum(axis=2)
         return left
@@ -315,7 +315,7 @@ class Residuals:
     def by_points(self, observations: SceneObservations, size: int) -> tuple[Floats, Floats, Floats]:
         """Half the points' own curvature (N, 3, 3), half the gradient (N, 3), and mixed derivatives (N, 3, size)."""
         own, pull = self.of_points(observations)
-        across = self._across
+        across = self.across
         mixed = np.zeros((len(own), 3, size))
         mixed[..., :SHARED] = observations.sums(across @ self.by_rig)
         for columns, of_station in _of_stations(observations, size):

@@ -4,6 +4,9 @@ Errors of keypoints have long tails, and points nearby share pixels of the pictu
 "Maximum likelihood estimation of misspecified models", 1982; Liang and Zeger, "Longitudinal data analysis using
 generalized linear models", 1986). What they scatter more than the curvature expects widens that by a factor, too; the
 covariance is the mean of both, for sums over places vary.
+
+A rig that warms up shifts the projector's picture from station to station. How far is told by what shifts of whole
+stations would gain, and what they do to the rig is added.
 """
 
 import numpy as np
@@ -17,6 +20,7 @@ from calib.scene.views import WINDOW_PIXELS
 _PLACE_WINDOWS = 4.0  # windows of pixels that the side of a place is
 _FOLLOWING = 1 / 2, 3 / 8  # terms of (1 - h)^(-1/2) - 1
 _WEAKEST = 6  # directions along which the curvature is measured: two hold most of the difference
+_LEAST_SHARE = 1e-4  # of the best determined shift, of one that is undetermined
 _LEAST_EIGENVALUE, _LEAST_CURVATURE = 1e-14, 0.05  # of the curvature; the latter relative to its approximation
 
 
@@ -28,8 +32,10 @@ def covariance_of_rig(problem: SceneProblem, fit: SceneFit) -> Floats:
     scatter = _scatter(problem, fit, approximate)[among_free]
     inverse = _inverse_curvature(problem, fit, free)
     shared = max(1.0, float(np.trace(scatter @ approximate[among_free])) / len(free))
+    by_drift = _by_drift(problem, fit, approximate, shared)[free]
+    scatter_by_drift = by_drift @ by_drift.T
     covariance = np.zeros_like(approximate)
-    covariance[among_free] = (shared * inverse + inverse @ scatter @ inverse) / 2
+    covariance[among_free] = (shared * inverse + inverse @ scatter @ inverse) / 2 + inverse @ scatter_by_drift @ inverse
     return covariance[:SHARED, :SHARED]
 
 
@@ -57,6 +63,40 @@ def _scatter(problem: SceneProblem, fit: SceneFit, inverse: Floats) -> Floats:
     scatter[:SHARED, :SHARED] += by_match.T @ by_match
     scatter[range(SHARED), range(SHARED)] += problem.prior.root_precision[:SHARED] ** 2
     return scatter
+
+
+def _by_drift(problem: SceneProblem, fit: SceneFit, inverse: Floats, shared: float) -> Floats:
+    """Half the gradient (size, 2 S) of the cost by the columns, for a shift of the projector's picture at each of S
+    stations, of one standard deviation in x and in y.
+
+    The standard deviation is found by moments of the gain of free shifts, as of a random effect (DerSimonian and Laird,
+    "Meta-analysis in clinical trials", 1986): `shared` for each by chance.
+    """
+    scene, observations = fit.scene, problem.observations
+    residuals, size = residuals_of(scene, observations, problem.spread), scene.size
+    own, _, mixed = residuals.by_points(observations, size)
+    count = len(scene.stations)
+    across, gradient, information = np.zeros((size, 2 * count)), np.zeros(2 * count), np.zeros((2 * count, 2 * count))
+    of_points = np.zeros((len(own), 3, 2 * count))
+    root = 1 / (problem.spread.lifted * observations.sigma_px)
+    for station in range(count):
+        seen = np.flatnonzero(observations.station == station)
+        for k in range(2):
+            shift, column = np.zeros((len(observations.point), 4)), 2 * station + k
+            shift[seen, 2 + k] = -root[seen]
+            weighted = residuals.weight * shift
+            across[:, column] = residuals.pulls(observations, size, shift).sum(axis=0)
+            gradient[column] = np.sum(weighted * residuals.values)
+            information[column, column] = np.sum(weighted * shift)
+            of_points[..., column] = observations.sums((residuals.across @ shift[..., None])[..., 0])
+    following = np.linalg.solve(own, of_points).reshape(-1, 2 * count)
+    across -= mixed.reshape(-1, size).T @ following
+    information -= of_points.reshape(-1, 2 * count).T @ following
+    left = information - across.T @ inverse @ across
+    gain = float(gradient @ np.linalg.pinv(left, rcond=_LEAST_SHARE, hermitian=True) @ gradient)
+    rank = np.linalg.matrix_rank(left, tol=_LEAST_SHARE * np.linalg.norm(left, 2), hermitian=True)
+    drift_px = np.sqrt(max(gain - shared * rank, 0.0) / max(float(np.trace(left)), 1e-300))
+    return np.asarray(drift_px * across, np.float64)
 
 
 def _inverse_curvature(problem: SceneProblem, fit: SceneFit, free: Ints) -> Floats:

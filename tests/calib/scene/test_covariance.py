@@ -1,4 +1,6 @@
-"""The covariance of a rig by stations of a scene: what points leave to it, and how the cost really bends."""
+"""The covariance of a rig by stations of a scene: what points leave to it, how the cost bends, and drift."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,17 +10,30 @@ from calib.scene import SceneCalibration, calibrate_scene
 from calib.scene.bundle import Residuals, residuals_of
 from calib.scene.covariance import covariance_of_rig
 from calib.self_calibration import PrincipalPoint
-from tests.support.things import PROJECTOR, turned_stations
+from tests.support.things import PROJECTOR, ThingStation, true_rig, turned_stations
 
 CAMERA_SIZE = (612, 512)
 
 
-@pytest.fixture(scope="module")
-def found() -> SceneCalibration:
-    stations = turned_stations(4, CAMERA_SIZE, seed=3)
+def calibrated(stations: list[ThingStation], drift_px: float = 0.0) -> SceneCalibration:
+    """The calibration by stations between which the projector's picture shifted."""
     point = PrincipalPoint(((CAMERA_SIZE[0] - 1) / 2, (CAMERA_SIZE[1] - 1) / 2), 0.03 * CAMERA_SIZE[0])
-    captures = [(station.matches, station.picture) for station in stations]
+    shifts = drift_px * np.random.default_rng(5).standard_normal((len(stations), 2))
+    captures = [
+        (replace(station.matches, projector_px=station.matches.projector_px + shift), station.picture)
+        for station, shift in zip(stations, shifts, strict=True)
+    ]
     return calibrate_scene(captures, CAMERA_SIZE, PROJECTOR, principal_point=point)
+
+
+@pytest.fixture(scope="module")
+def stations() -> list[ThingStation]:
+    return turned_stations(4, CAMERA_SIZE, seed=3)
+
+
+@pytest.fixture(scope="module")
+def found(stations: list[ThingStation]) -> SceneCalibration:
+    return calibrated(stations)
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +69,13 @@ def test_a_principal_point_is_known_less_well_than_noisy_derivatives_say(found: 
     ratio = np.sqrt(np.diag(covariance) / np.diag(approximate))
     assert 1.3 < ratio[CAMERA.start + 1] < 4.0
     assert 1.0 < np.median(ratio) < 1.8
+
+
+def test_a_picture_that_drifts_between_stations_widens_the_sigmas(
+    stations: list[ThingStation], found: SceneCalibration
+) -> None:
+    drifted = calibrated(stations, drift_px=0.03)
+    sigma, steady = (np.sqrt(np.diag(each.uncertainty.covariance)) for each in (drifted, found))
+    error = drifted.uncertainty.rig.step_to(true_rig(stations[0].calibration))
+    assert 1.3 < np.median(sigma / steady) < 20
+    assert 0.2 < np.sqrt(np.mean((error / sigma) ** 2)) < 2.0
