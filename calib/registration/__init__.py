@@ -1,6 +1,7 @@
 """Registration: how views of one scene fit together, by planes, keypoints and shape, without a first guess."""
 
 from calib.registration.alignment import couple_poses
+from calib.registration.changes import Change, find_changes
 from calib.registration.deviations import (
     CellDeviations,
     Deviations,
@@ -11,6 +12,7 @@ from calib.registration.deviations import (
     groups,
     inflated,
 )
+from calib.registration.free_space import FreeSpace
 from calib.registration.hypotheses import fit_rigid_motion
 from calib.registration.keypoints import (
     Keypoints,
@@ -37,7 +39,7 @@ from calib.registration.register import (
     register,
 )
 from calib.registration.rotations import even_rotations
-from calib.registration.sampled_surface import SampledSurface, measured_noise, sample_mesh, sample_surface
+from calib.registration.sampled_surface import SampledSurface, local_noise, measured_noise, sample_mesh, sample_surface
 from calib.registration.segments import relative_noise
 from calib.registration.straight_planes import split_planes
 from calib.registration.surface_evidence import SurfacePose

@@ -20,6 +20,7 @@ _LIKE_SAMPLES, _OF_BEND = (
     0.9,
     0.25,
 )  # the same of samples; share of the distance aside times their angle that is a sigma
+_OF_CELL = 0.01  # share of a cell by which its plane may be off, whatever the noise
 _FACING = 0.85  # least cosine of the way to the nearest point of a mesh and its normal: less beyond an edge of the mesh
 _AT_ONCE = 200_000
 # Sigmas of all cells of a region, of at least `_FEWEST` of them, and of at least `_SEEDS`.
@@ -46,10 +47,17 @@ class Deviations:
 
 
 def from_samples(
-    points: Floats, normals: Floats, reference: SampledSurface, reach: float, *, are_oriented: bool = True
+    points: Floats,
+    normals: Floats,
+    reference: SampledSurface,
+    noise: Floats,
+    reach: float,
+    *,
+    are_oriented: bool = True,
 ) -> Deviations:
-    """Of points (N, 3) with normals (N, 3) from the samples of a cloud, up to a distance `reach`.
+    """Of points (N, 3) with normals (N, 3) from the S samples of a cloud, up to a distance `reach`.
 
+    `noise` (S,): standard deviation of a point around each sample.
     `are_oriented`: whether the normals say which side is outside; otherwise the reference does.
     """
     tree = cKDTree(reference.points)
@@ -74,9 +82,9 @@ def from_samples(
         aside = np.sqrt(np.maximum(0.0, np.sum(off**2, axis=1) - along**2))
         cosine = np.sum(own * facing, axis=1)
         near = there & (aside < beside) & (np.abs(along) < reach) & (cosine > _LIKE_SAMPLES)
-        variance = reference.noise**2 / np.maximum(reference.count[nearest], 1)
+        variance = noise[nearest] ** 2 / np.maximum(reference.count[nearest], 1)
         # Between planes that are not quite parallel, as beside a crease, the distance depends on where it is measured.
-        variance += (_OF_BEND * aside) ** 2 * np.maximum(0.0, 2 - 2 * cosine)
+        variance += (_OF_BEND * aside) ** 2 * np.maximum(0.0, 2 - 2 * cosine) + (_OF_CELL * reference.cell) ** 2
         return np.where(near, along, np.nan), variance
 
     parts = in_slices(len(points), _AT_ONCE, part)

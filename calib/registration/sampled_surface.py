@@ -16,6 +16,9 @@ from calib.pointcloud import scattered_surface
 
 _NEIGHBOURS = 12  # of a point, for planes through them
 _NOISE_SAMPLE = 3000  # points
+_LOCAL_SAMPLE, _LOCAL = 12_000, 24  # points where noise is measured, and neighbouring ones whose median it is
+_OF_NOISE = 8  # neighbours of the planes that noise is measured by: with more, curvature would be noise
+_MEDIAN_SQUARE = 0.870  # median of χ² over its five degrees of freedom
 _LEAST_NORMAL = 0.5  # length of a mean normal: shorter where two sides of something thin share a cell
 _MOST_OPPOSED = 0.05  # share of neighbours with opposed normals, beyond which the signs of given normals are not used
 _CREASE, _MOST_CREASES = (
@@ -126,11 +129,32 @@ def measured_noise(points: Floats) -> float:
     """Standard deviation of points (N, 3) from planes through their neighbours; 0 for too few."""
     if len(points) < 2 * _NEIGHBOURS:
         return 0.0
-    some = evenly_spread(points, _NOISE_SAMPLE)
-    _, index = cKDTree(points, balanced_tree=False, compact_nodes=False).query(some, _NEIGHBOURS)
+    return float(np.sqrt(median(_from_planes(points, evenly_spread(points, _NOISE_SAMPLE))) / _MEDIAN_SQUARE))
+
+
+def local_noise(points: Floats, places: Floats) -> Floats:
+    """Standard deviations (M,) of points (N, 3) from planes through their neighbours, around places (M, 3).
+
+    Noise grows with the distance from the scanner and with the slant: one number for a cloud would be too small far
+    away.
+    """
+    if len(points) < 2 * _NEIGHBOURS:
+        return np.zeros(len(places))
+    some = evenly_spread(points, _LOCAL_SAMPLE)
+    squares = _from_planes(points, some)
+    tree = cKDTree(some)
+    around = np.asarray(tree.query(some, min(_LOCAL, len(some)))[1])
+    typical = np.median(squares[around], axis=1) / _MEDIAN_SQUARE
+    noise: Floats = np.sqrt(typical)[np.asarray(tree.query(places)[1])]
+    return noise
+
+
+def _from_planes(points: Floats, some: Floats) -> Floats:
+    """Mean squared distances (M,), as of one point, from the planes through the neighbours of `some` points (M, 3)."""
+    _, index = cKDTree(points, balanced_tree=False, compact_nodes=False).query(some, _OF_NOISE)
     around = points[index] - points[index].mean(axis=1, keepdims=True)
-    squares = np.linalg.eigvalsh(np.matmul(around.transpose(0, 2, 1), around))[:, 0]
-    return float(np.sqrt(max(0.0, median(squares)) / (_NEIGHBOURS - 3)))
+    squares: Floats = np.linalg.eigvalsh(np.matmul(around.transpose(0, 2, 1), around))[:, 0]
+    return np.maximum(squares, 0.0) / (_OF_NOISE - 3)
 
 
 def _require(means: Floats) -> None:

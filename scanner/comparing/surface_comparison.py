@@ -1,5 +1,6 @@
 """A result on a reference: aligned without a first guess, then the signed deviation of each point with its sigma."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import product
@@ -12,16 +13,19 @@ from calib.numerics import Bools, Floats, Ints, evenly_spread
 from calib.registration import (
     Alignment,
     CellDeviations,
+    Change,
     Deviations,
+    FreeSpace,
     Region,
     SurfacePoints,
     SurfaceRegistration,
+    find_changes,
     find_regions,
     from_mesh,
     from_samples,
     groups,
     inflated,
-    measured_noise,
+    local_noise,
     register_surfaces,
     sample_surface,
 )
@@ -37,6 +41,7 @@ _SCALE_STEP, _SCALE_STEPS = 1.08, 6  # of a search for an unknown scale
 _CELLS, _SPACINGS, _REFERENCE_SPACINGS = 160.0, 3.0, 2.0
 _REACH_TOLERANCES, _REACH_TOLERANCE = 20.0, 3.0  # of the alignment; of the one that was given
 _SIDES = 6
+_FREE_TOLERANCES = 3.0  # of the alignment, in front of what was seen, from which a point was in free space
 _FAILS, _PASSES = 3.0, 2.0  # sigmas beyond, and within a tolerance
 _FEWEST = 3  # adjoining cells
 _UNMEASURED = 0.05  # share of the points without a counterpart that leaves a comparison undecided
@@ -87,6 +92,9 @@ class SurfaceComparison:
     """(N,): their standard deviations."""
     cells: CellDeviations | None
     regions: tuple[Region, ...]
+    changes: tuple[Change, ...] | None
+    """Of a later scan, the result, against an earlier one, the reference; None where it is not known from where either
+    was taken."""
     test: ToleranceTest | None
     knows_calibration: bool
     """Whether the result's calibration is in the sigmas."""
@@ -146,6 +154,7 @@ def compare_surfaces(
             None,
             (),
             None,
+            None,
             False,
             notes,
         )
@@ -170,6 +179,8 @@ def compare_surfaces(
         np.maximum(0.0, (cells.sigma[of_cell] / cells.inflation) ** 2 - cells_noise(of_cell, noise, len(cells.sigma)))
     )
     sigma = cells.inflation * np.sqrt(noise**2 + shared**2)
+    regions = find_regions(cells)
+    changes = _changes(first, one, second, found, cells, regions, points, normals, reach)
     test = None if limit is None else _test(cells, limit, float(np.mean(~deviations.there)))
     return SurfaceComparison(
         names,
@@ -181,7 +192,8 @@ def compare_surfaces(
         deviations.distance,
         sigma,
         cells,
-        tuple(find_regions(cells)),
+        tuple(regions),
+        None if changes is None else tuple(changes),
         test,
         second.effects is not None,
         notes,
@@ -267,7 +279,7 @@ def _noise(second: ComparedSurface, points: Floats, scale: float) -> Floats:
     """Standard deviations (N,) of the points along their normals."""
     if second.noise is not None:
         return scale * second.noise
-    return np.full(len(points), 0.0 if second.is_mesh else measured_noise(points))
+    return np.zeros(len(points)) if second.is_mesh else local_noise(points, points)
 
 
 def _deviations(
@@ -277,7 +289,31 @@ def _deviations(
         return from_mesh(points, normals, first.points, first.triangles, reach)
     cell = max(_extent(one.points) / _CELLS, _REFERENCE_SPACINGS * _spacing(one.points))
     samples = sample_surface(one.points, one.normals, cell, one.noise).on_surface()
-    return from_samples(points, normals, samples, reach, are_oriented=are_oriented)
+    noise = local_noise(one.points, samples.points)
+    return from_samples(points, normals, samples, noise, reach, are_oriented=are_oriented)
+
+
+def _changes(
+    first: ComparedSurface,
+    one: SurfacePoints,
+    second: ComparedSurface,
+    found: SurfaceRegistration,
+    cells: CellDeviations,
+    regions: Sequence[Region],
+    points: Floats,
+    normals: Floats,
+    reach: float,
+) -> list[Change] | None:
+    """What is new, gone or has moved, where both scanners' places are known."""
+    if not (first.views and second.views) or found.best is None:
+        return None
+    pose, scale = found.best.pose, found.best.scale
+    earlier = [FreeSpace.of(seen, eye) for eye, seen in first.views]
+    later = [FreeSpace.of(pose @ (scale * seen), pose @ (scale * eye)) for eye, seen in second.views]
+    former = sample_surface(one.points, one.normals, cells.cell, one.noise)
+    now = sample_surface(points, normals, cells.cell, found.residual)
+    unmatched = ~from_samples(former.points, former.normals, now, np.zeros(len(now)), reach).there
+    return find_changes(cells, regions, earlier, former.points[unmatched], later, _FREE_TOLERANCES * found.tolerance)
 
 
 def _calibration(second: ComparedSurface, found: SurfaceRegistration) -> tuple[Floats, Floats] | None:

@@ -194,6 +194,20 @@ def _document(comparison: SurfaceComparison) -> dict[str, Any]:
             }
             for region in comparison.regions
         ],
+        "changes": None
+        if comparison.changes is None
+        else [
+            {
+                "centre": _numbers(change.centre),
+                "across": change.size,
+                "area_deviating": change.deviating,
+                "area_new": change.new,
+                "area_gone": change.gone,
+                "deviation": change.peak,
+                "sigma": change.sigma,
+            }
+            for change in comparison.changes
+        ],
         "notes": list(comparison.notes),
     }
 

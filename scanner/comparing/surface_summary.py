@@ -6,7 +6,7 @@ import numpy as np
 from rich.table import Table
 
 from calib.numerics import Floats
-from calib.registration import Alignment, FreeMotion, Region, SurfacePose
+from calib.registration import Alignment, Change, FreeMotion, Region, SurfacePose
 from scanner.comparing.surface_comparison import Conformity, SurfaceComparison
 from scanner.quantities import ShownUnit, empty_table, plain, shown_unit
 from scanner.results import Verdict
@@ -44,6 +44,8 @@ def _verdict_of_surface(comparison: SurfaceComparison) -> Verdict:
             count = len(comparison.regions)
             where = "in one region" if count == 1 else f"in {count} regions"
             return Verdict("fair", f"The surface deviates {where} by more than its sigmas allow.", reasons)
+        if comparison.changes:
+            return Verdict("fair", "Nothing deviates, but something is new or gone.", reasons)
         return Verdict("good", "No region deviates by more than its sigmas allow.", reasons)
     limit = unit.length(test.tolerance)
     if test.conformity is Conformity.PASS:
@@ -114,6 +116,9 @@ def _reasons(comparison: SurfaceComparison) -> Iterator[str]:
         )
     for region in comparison.regions[:_MOST_REGIONS]:
         yield f"Region: {region_text(region, unit)}."
+    for change in (comparison.changes or ())[:_MOST_REGIONS]:
+        if change.new or change.gone:
+            yield f"Changed: {change_text(change, unit)}."
     if comparison.cells is not None and comparison.cells.inflation > 1.3:
         yield (
             f"Deviations scatter {comparison.cells.inflation:.1f} times as much as the noise explains, so sigmas were "
@@ -135,6 +140,18 @@ def region_text(region: Region, unit: ShownUnit) -> str:
         f"{unit.measured(abs(region.peak), region.sigma)} {unit.name} {kind}, {unit.error(region.size)} across, at "
         f"({centre}) {unit.name}"
     )
+
+
+def change_text(change: Change, unit: ShownUnit) -> str:
+    """What a change is, its size and place."""
+    centre = ", ".join(unit.number(float(value)) for value in change.centre)
+    kinds = [
+        f"deviates by {unit.measured(change.peak, change.sigma)} {unit.name}" if change.deviating else "",
+        "new where there was free space" if change.new else "",
+        "gone, where there is free space now" if change.gone else "",
+    ]
+    told = ", ".join(kind for kind in kinds if kind)
+    return f"{told}; {unit.error(change.size)} across, at ({centre}) {unit.name}"
 
 
 def region_rows(comparison: SurfaceComparison) -> list[tuple[str, ...]]:

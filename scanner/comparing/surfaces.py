@@ -50,6 +50,8 @@ class ComparedSurface:
     noise: Floats | None
     """(N,): standard deviations along the normals; None where unknown."""
     effects: CalibrationEffects | None
+    views: tuple[tuple[Floats, Floats], ...] = ()
+    """The scanner's places (3,), each with the points (M, 3) that were seen from it; none where they are not known."""
     notes: tuple[str, ...] = ()
 
     @property
@@ -81,8 +83,18 @@ def read_compared(path: Path, capture: int | None = None) -> ComparedSurface:
         notes.append(f"{path}: {stored.dropped:,} points were left out because their coordinates are no numbers.")
     if stored.thinned_from:
         notes.append(f"{path}: {len(stored.points):,} of its {stored.thinned_from:,} points were used, evenly spread.")
+    views = () if stored.eye is None else ((stored.eye, stored.points),)
     return ComparedSurface(
-        str(path), stored.points, stored.normals, stored.triangles, stored.unit, stored.eye, None, None, tuple(notes)
+        str(path),
+        stored.points,
+        stored.normals,
+        stored.triangles,
+        stored.unit,
+        stored.eye,
+        None,
+        None,
+        views,
+        tuple(notes),
     )
 
 
@@ -101,7 +113,8 @@ def _of_result(path: Path, result: CleanedResult) -> ComparedSurface:
     if not known.all():
         points, normals = points[known], normals[known]
         noise = None if noise is None else noise[known]
-    return ComparedSurface(str(path), points, normals, None, result.unit, eye, noise, effects)
+    views = tuple((station.place.translation, station.place @ station.scan.points) for station in result.stations)
+    return ComparedSurface(str(path), points, normals, None, result.unit, eye, noise, effects, views)
 
 
 def _noise(scan: FinishedScan, normals: Floats) -> Floats:

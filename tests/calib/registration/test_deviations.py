@@ -19,7 +19,7 @@ def test_points_off_a_surface_are_that_far_from_it() -> None:
     assert found.there.mean() > 0.99
     assert np.nanstd(found.distance - off) < 0.01
     samples = sample_surface(*BLOB.cloud(80_000, 2, noise=0.0), 1.0, 0.0).on_surface()
-    found = from_samples(lifted, normals, samples, reach=2.0)
+    found = from_samples(lifted, normals, samples, np.zeros(len(samples)), reach=2.0)
     assert found.there.mean() > 0.95
     assert 1e-4 < np.nanstd(found.distance - off) < 0.02
 
