@@ -191,13 +191,15 @@ def robust_covariance(jacobian: Floats, residual: Floats, cluster: Ints) -> Floa
     with the scores summed over each cluster. It needs about ten clusters; with two or fewer it is infinite.
     """
     weight = biweight(residual)
+    size = np.linalg.norm(jacobian, axis=0)  # in units of their own, as of angles beside lengths
+    jacobian = jacobian / np.where(size > 0, size, 1.0)
     scatter = clustered_scatter((weight * residual)[:, None] * jacobian, cluster)
     occupied = int(np.count_nonzero(np.bincount(cluster, weight > 0)))
     normal = (biweight_slope(residual)[:, None] * jacobian).T @ jacobian
     if occupied <= 2 or np.linalg.matrix_rank(normal) < len(normal):
         return np.full_like(normal, np.inf)
     bread = np.linalg.inv(normal)
-    covariance: Floats = occupied / (occupied - 1) * bread @ scatter @ bread
+    covariance: Floats = occupied / (occupied - 1) * bread @ scatter @ bread / np.outer(size, size)
     return covariance
 
 

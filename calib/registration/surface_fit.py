@@ -74,12 +74,14 @@ class PairFit:
     def stepped(self, place: Pose, factor: float, weight: Floats, *, with_scale: bool) -> tuple[Pose, float]:
         """The pose and the scale after a weighted Gauss–Newton step."""
         centre = self.points.mean(axis=0)
-        jacobian = position_jacobian(self.points - centre, self.normals, with_scale=with_scale)
+        arms = self.points - centre
+        size = max(float(np.sqrt(np.mean(np.sum(arms**2, axis=1)))), 1e-300)  # angles in lengths: in any unit the same
+        jacobian = position_jacobian(arms / size, self.normals, with_scale=with_scale)
         matrix, gradient = (jacobian.T * weight) @ jacobian, jacobian.T @ (weight * self.residual)
         damping = 1e-6 * np.diag(np.diag(matrix)) + 1e-12 * np.trace(matrix) * np.eye(len(matrix))
         step = -np.linalg.solve(matrix + damping, gradient)
-        turn = Pose.from_vector(np.append(step[:3], np.zeros(3))).rotation
-        grown = float(np.exp(np.clip(step[6], -0.05, 0.05))) if with_scale else 1.0
+        turn = Pose.from_vector(np.append(step[:3] / size, np.zeros(3))).rotation
+        grown = float(np.exp(np.clip(step[6] / size, -0.05, 0.05))) if with_scale else 1.0
         moved = grown * (turn @ (place.translation - centre)) + centre + step[3:6]
         return Pose(turn @ place.rotation, moved), grown * factor
 

@@ -12,7 +12,7 @@ from scanner.quantities import ShownUnit, empty_table, plain, shown_unit
 from scanner.results import Verdict
 
 QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
-_MOST_REGIONS = 10
+_MOST_REGIONS, _MOST_ALTERNATIVES = 10, 5
 _ADVICE = {
     Alignment.AMBIGUOUS: "Scan more of it, so that what tells the poses apart is seen, or give a larger reference.",
     Alignment.LOOSE: "Scan more of it, or something beside it that holds it.",
@@ -61,8 +61,10 @@ def _alignment_reasons(comparison: SurfaceComparison) -> Iterator[str]:
     for motion in registration.free:
         yield _free_motion(motion, unit)
     if registration.alternatives and registration.best is not None:
-        for number, pose in enumerate(registration.alternatives, start=1):
+        for number, pose in enumerate(registration.alternatives[:_MOST_ALTERNATIVES], start=1):
             yield f"Alternative {number}: {_against(registration.best, pose, registration.centre, unit)}."
+        if more := registration.alternatives[_MOST_ALTERNATIVES:]:
+            yield f"{len(more)} more."
     if registration.alignment is Alignment.NONE and registration.best is not None:
         best = registration.best
         yield (
