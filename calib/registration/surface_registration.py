@@ -32,6 +32,7 @@ from calib.registration.surface_pair import (
 )
 
 _ROUNDS, _FINAL_ROUNDS = 4, 12
+_PIECE = 4.0  # coarse cells across what may have moved a little as a whole, so that its errors are equal
 
 
 class Alignment(Enum):
@@ -172,7 +173,7 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool) -> SurfaceRegistr
     if alternatives:
         return replace(made, alignment=Alignment.AMBIGUOUS, alternatives=tuple(alternatives))
     jacobian = position_jacobian(fit.points - centre, fit.normals, with_scale=with_scale)
-    cluster = _clusters(fit.points, best.sides.coarse)
+    cluster = _clusters(fit.points, _PIECE * best.sides.coarse)
     covariance = robust_covariance(jacobian, fit.residual, cluster)
     return replace(made, alignment=Alignment.UNIQUE, covariance=covariance)
 

@@ -1,0 +1,187 @@
+"""Signed deviations of a surface's points from an aligned reference, with their sigmas, by points and by cells."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calib.numerics import Bools, Floats, Ints, evenly_spread
+from calib.registration import (
+    CellDeviations,
+    Deviations,
+    Region,
+    SurfacePoints,
+    SurfaceRegistration,
+    find_regions,
+    from_mesh,
+    from_samples,
+    inflated,
+    local_noise,
+    sample_surface,
+)
+from scanner.comparing.surfaces import ComparedSurface, nearest_values
+
+_CELLS, _SPACINGS, _REFERENCE_SPACINGS = 160.0, 3.0, 2.0
+_REACH_TOLERANCES, _REACH_TOLERANCE = 20.0, 3.0  # of the alignment; of the one that was given
+_SIDES = 6
+
+
+@dataclass(frozen=True, eq=False)
+class PointDeviations:
+    """Deviations of an aligned surface, in the reference's frame and unit."""
+
+    registration: SurfaceRegistration
+    points: Floats
+    """(N, 3): where the alignment puts them."""
+    normals: Floats
+    """(N, 3)"""
+    distance: Floats
+    """(N,); NaN where the reference has no surface."""
+    sigma: Floats
+    """(N,): standard deviations."""
+    cells: CellDeviations
+    of_cell: Ints
+    """(N,): the number of each point's cell."""
+    regions: tuple[Region, ...]
+    """That deviate by more than chance allows."""
+    reach: float
+    """Largest deviation."""
+
+    @property
+    def there(self) -> Bools:
+        """Which points have a counterpart, (N,)."""
+        return np.isfinite(self.distance)
+
+
+def measure_deviations(
+    first: ComparedSurface,
+    one: SurfacePoints,
+    second: ComparedSurface,
+    other: SurfacePoints,
+    found: SurfaceRegistration,
+    limit: float | None,
+) -> PointDeviations:
+    """Deviations of the `second` surface from the `first` one, given what was registered of both, `one` and `other`.
+
+    `limit`: a tolerance that is to be tested.
+    """
+    assert found.best is not None
+    pose, scale = found.best.pose, found.best.scale
+    points = pose @ (scale * (second.points if not second.is_mesh else other.points))
+    normals = other.normals if second.is_mesh else second.normals
+    spacing = _spacing(points)
+    are_oriented = normals is not None
+    if normals is None:
+        surface = sample_surface(points, None, _cell(points, spacing))
+        normals = nearest_values(surface.points, surface.normals, points)
+    else:
+        normals = pose.rotate(normals)
+    reach = _REACH_TOLERANCES * found.tolerance
+    if limit is not None:
+        reach = max(reach, _REACH_TOLERANCE * limit)
+    deviations = _deviations(first, one, points, normals, reach, are_oriented=are_oriented)
+    noise = _noise(second, points, scale)
+    extra = None if second.effects is None else _calibration(second, found)
+    cells, of_cell = _cells(found, points, normals, deviations, noise, extra, _cell(points, spacing))
+    shared = np.sqrt(
+        np.maximum(0.0, (cells.sigma[of_cell] / cells.inflation) ** 2 - _of_means(of_cell, noise, len(cells.sigma)))
+    )
+    sigma = cells.inflation * np.sqrt(noise**2 + shared**2)
+    regions = tuple(find_regions(cells))
+    return PointDeviations(found, points, normals, deviations.distance, sigma, cells, of_cell, regions, reach)
+
+
+def extent_of(points: Floats) -> float:
+    """The diagonal of what holds nearly all points (N, 3)."""
+    low, high = np.quantile(evenly_spread(points, 20_000), (0.01, 0.99), axis=0)
+    return max(float(np.linalg.norm(high - low)), 1e-300)
+
+
+def _spacing(points: Floats) -> float:
+    apart = cKDTree(points).query(evenly_spread(points, 3000), 4)[0]
+    return float(np.median(np.asarray(apart)[:, -1])) / 1.5
+
+
+def _cell(points: Floats, spacing: float) -> float:
+    return max(extent_of(points) / _CELLS, _SPACINGS * spacing)
+
+
+def _noise(second: ComparedSurface, points: Floats, scale: float) -> Floats:
+    """Standard deviations (N,) of the points along their normals."""
+    if second.noise is not None:
+        return scale * second.noise
+    return np.zeros(len(points)) if second.is_mesh else local_noise(points, points)
+
+
+def _deviations(
+    first: ComparedSurface, one: SurfacePoints, points: Floats, normals: Floats, reach: float, *, are_oriented: bool
+) -> Deviations:
+    if first.triangles is not None:
+        return from_mesh(points, normals, first.points, first.triangles, reach)
+    cell = max(extent_of(one.points) / _CELLS, _REFERENCE_SPACINGS * _spacing(one.points))
+    samples = sample_surface(one.points, one.normals, cell, one.noise).on_surface()
+    noise = local_noise(one.points, samples.points)
+    return from_samples(points, normals, samples, noise, reach, are_oriented=are_oriented)
+
+
+def _calibration(second: ComparedSurface, found: SurfaceRegistration) -> tuple[Floats, Floats] | None:
+    """Places (K, 3), and the effects (K, 3, S) of the calibration's errors there, after the alignment."""
+    if second.effects is None or found.best is None:
+        return None
+    pose, scale = found.best.pose, found.best.scale
+    return pose @ (scale * second.effects.points), scale * (pose.rotation @ second.effects.moved)
+
+
+def _cells(
+    found: SurfaceRegistration,
+    points: Floats,
+    normals: Floats,
+    deviations: Deviations,
+    noise: Floats,
+    calibration: tuple[Floats, Floats] | None,
+    cell: float,
+) -> tuple[CellDeviations, Ints]:
+    """Means over cells, and the cell of each point, (N,): both sides of something thin are in different ones."""
+    place = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
+    axis = np.argmax(np.abs(normals), axis=1)
+    side = 2 * axis + (normals[np.arange(len(normals)), axis] > 0)
+    number = ((place[:, 0] << 21 | place[:, 1]) << 21 | place[:, 2]) * _SIDES + side
+    of_cell = np.unique(number, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    count = np.bincount(of_cell)
+
+    def mean(values: Floats) -> Floats:
+        return np.stack([np.bincount(of_cell, column) for column in values.T], axis=1) / count[:, None]
+
+    there = deviations.there
+    with_counterpart = np.bincount(of_cell[there], minlength=len(count))
+    total = np.bincount(of_cell[there], deviations.distance[there], len(count))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        distance = np.where(2 * with_counterpart >= count, total / with_counterpart, np.nan)
+    middle, facing = mean(points), mean(normals)
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
+    variance = np.bincount(of_cell, noise**2) / count**2
+    variance += np.bincount(of_cell, deviations.variance) / count
+    variance += found.position_covariance(facing, middle)
+    if calibration is not None:
+        variance += _calibration_variance(found, middle, facing, *calibration)
+    least = 1e-9 * cell
+    sigma, factor = inflated(np.sqrt(np.maximum(variance, least**2)), distance)
+    return CellDeviations(middle, facing, distance, sigma, cell, factor), of_cell
+
+
+def _calibration_variance(
+    found: SurfaceRegistration, points: Floats, normals: Floats, places: Floats, moved: Floats
+) -> Floats:
+    """Variance (C,) along normals (C, 3) by the calibration, without what the alignment takes up."""
+    own = nearest_values(points, normals, places)
+    effects = np.einsum("ki,kis->ks", own, moved)
+    jacobian = found.jacobian(own, places)
+    effects -= jacobian @ np.linalg.lstsq(jacobian, effects, rcond=1e-9)[0]
+    return nearest_values(places, np.sum(effects**2, axis=1), points)
+
+
+def _of_means(of_cell: Ints, noise: Floats, count: int) -> Floats:
+    """The variance of the means (C,) by the points' own noise, for each point: (N,)."""
+    points = np.bincount(of_cell, minlength=count)
+    variance: Floats = (np.bincount(of_cell, noise**2, count) / np.maximum(points, 1) ** 2)[of_cell]
+    return variance
