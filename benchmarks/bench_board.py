@@ -44,9 +44,9 @@ def real(folder: Path) -> None:
     recordings = read_folders([folder])
     result = calibrate_captures(recordings, _TARGET, Terminal(quiet=True))
     sizes = recordings[0].camera_size, recordings[0].projector_size
-    peers = [corners_of(each.folder, _TARGET.points, (_TARGET.columns, _TARGET.rows)) for each in recordings]
+    peers = [corners_of(recording.folder, _TARGET.points, (_TARGET.columns, _TARGET.rows)) for recording in recordings]
     peer = calibrate(peers, *sizes)
-    ours = [_own_corners(seen.view) for seen in result.captures]
+    ours = [_own_corners(capture.view) for capture in result.captures]
     print(
         f"stereo error by the script's definition, px (its own output: 0.575)\n  done again   {peer.rms[2]:.3f}",
         end="",
@@ -73,7 +73,7 @@ def real(folder: Path) -> None:
 
 def _scatter_of_focals(result: FromBoards, peers: list[Corners], sizes: tuple[Size, Size]) -> None:
     """Scatter of the projector's parameters when one board is left out."""
-    moved = np.array([each.moved[[9, 11, 12]] for each in result.calibrated.predictions])
+    moved = np.array([prediction.moved[[9, 11, 12]] for prediction in result.calibrated.predictions])
     whole = calibrate(peers, *sizes).projector[0]
     theirs = []
     for i in range(len(peers)):

@@ -109,8 +109,8 @@ def outcome(row: Row, told: str, seed: int, number: int) -> Outcome:
     )
     middle = np.array([(SIZES[1][0] - 1) / 2, 0.0])
     matches = [
-        replace(each.matches, projector_px=(each.matches.projector_px - middle) * (row.scaled, 1.0) + middle)
-        for each in captures
+        replace(capture.matches, projector_px=(capture.matches.projector_px - middle) * (row.scaled, 1.0) + middle)
+        for capture in captures
     ]
     start = time.process_time()
     try:

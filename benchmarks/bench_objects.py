@@ -69,7 +69,7 @@ def main() -> None:
             print(f"{seed:5d}  refused: {refusal.reason}")
             continue
         seconds = (time.process_time() - began) / args.steps
-        places = [stations[each.number].place for each in found.stations]
+        places = [stations[station.number].place for station in found.stations]
         errors, relative = _errors(found, places)
         grade = verdict_on(found).grade
         ratios += [relative] if grade != "refused" else []
@@ -92,7 +92,7 @@ def _ball(seed: int, steps: int, camera: tuple[int, int], noise: float) -> None:
     rig = stations[0].calibration
     start = RigStart(rig.in_baselines, None, {}, rig)
     found = solve_object(decoded(stations, camera, True), start, config_for(camera), Terminal(quiet=True))
-    places = [stations[each.number].place for each in found.stations]
+    places = [stations[station.number].place for station in found.stations]
     print(f"ball {seed}: {len(places)} stations, volume {_volume(_with_true(found, places), stations[0].solid)}")
 
 

@@ -145,7 +145,7 @@ def main() -> None:
                 flush=True,
             )
     for name, parts in every.items():
-        print(f"error/sigma of {name}, rms: {rms(np.concatenate(parts)):.2f} ({sum(each.size for each in parts)})")
+        print(f"error/sigma of {name}, rms: {rms(np.concatenate(parts)):.2f} ({sum(part.size for part in parts)})")
     print(f"bent: in {bent} of {draws} draws; {time.process_time() - began:.0f} s of one processor")
 
 

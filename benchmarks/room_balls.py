@@ -17,8 +17,8 @@ def centres_apart(stations: Sequence[Station], balls: Sequence[Sequence[Floats]]
     `stations`: for each ball, the points (N, 3) of each station on it; NaN without any.
     """
     centres = []
-    for seen in balls:
-        known = [points[np.isfinite(points[:, 2])].astype(np.float64) for points in seen]
+    for ball in balls:
+        known = [points[np.isfinite(points[:, 2])].astype(np.float64) for points in ball]
         points = np.concatenate([station.to_room(own) for station, own in zip(stations, known, strict=True)])
         if len(points) < _FEWEST:
             return float("nan")

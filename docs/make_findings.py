@@ -86,7 +86,7 @@ def _kinds_in(module: Path) -> Iterator[DeclaredKind]:
             continue
         if id(node) in constants:
             words = [_literal(argument, texts) for argument in node.args]
-            named = {str(each.arg): _literal(each.value, texts) for each in node.keywords}
+            named = {str(keyword.arg): _literal(keyword.value, texts) for keyword in node.keywords}
             yield DeclaredKind(path, *words, **named)
         elif path != "scanner/results/verdict.py":  # which reads kinds of any version
             raise ValueError(f"{path}:{node.lineno}: expected NAME = FindingKind(...) at the top of the module")

@@ -157,7 +157,7 @@ def calibrate_boards(
     refuse_untrustworthy(found, (), coverage_of(found.views, found.state, *sizes), sizes)
     found, predictions, left_out = _without_outliers(found, anew, nearby)
     coverage = coverage_of(found.views, found.state, *sizes)
-    surprise = float(np.sqrt(np.mean([each.sigmas**2 for each in predictions])))
+    surprise = float(np.sqrt(np.mean([prediction.sigmas**2 for prediction in predictions])))
     enlarged = straightness(found) * (surprise if surprise > _SURPRISING else 1.0)
     found = replace(found, covariance=found.covariance * enlarged**2)
     refuse_untrustworthy(found, _others(found, begun, views), coverage, sizes)

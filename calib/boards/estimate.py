@@ -29,7 +29,7 @@ def measured(views: Sequence[BoardView], fit: Fit, prior: Prior) -> tuple[BoardV
     absorbed = (np.count_nonzero(prior.free(fit.state)[:SHARED]) / len(views) + PER_POSE) / 2
     cells = [view.cells for view in views]
     common = noise_of(reduce(joined, cells), np.concatenate(fit.cells), absorbed * len(views))
-    independent = [replace(common, inflation=1.0).variances(each) for each in cells]
+    independent = [replace(common, inflation=1.0).variances(cell) for cell in cells]
     inflation, smooth_px = _long_waves(cells, fit.cells, independent, absorbed)
     noise = tuple(
         replace(common, match_px=each.noise_px, smooth_px=float(smooth), inflation=float(kappa))
@@ -37,7 +37,7 @@ def measured(views: Sequence[BoardView], fit: Fit, prior: Prior) -> tuple[BoardV
     )
     corner_px = _corner_sigmas(fit, absorbed)
     corners = [_as_cells(view, sigma) for view, sigma in zip(views, corner_px, strict=True)]
-    of_corners, _ = _long_waves(corners, fit.corners, [each.sigma_px**2 for each in corners], absorbed)
+    of_corners, _ = _long_waves(corners, fit.corners, [corner.sigma_px**2 for corner in corners], absorbed)
     levels = BoardVariances(corner_px**2 * of_corners, tuple(map(np.multiply, independent, inflation)))
     return levels, corner_px, noise
 
@@ -64,7 +64,7 @@ def _long_waves(
         return np.ones(len(parts)), np.zeros(len(parts))
     freedom = np.where(seen, 2 * CUBIC - absorbed, 0.0)
     inflation: Floats = np.maximum(_drawn_together(np.nan_to_num(totals), freedom), 1.0)
-    return inflation, np.sqrt(np.nan_to_num(squares) / [len(each) for each in parts])
+    return inflation, np.sqrt(np.nan_to_num(squares) / [len(part) for part in parts])
 
 
 def _drawn_together(squares: Floats, freedom: Floats) -> Floats:

@@ -32,7 +32,7 @@ class ImageRaster:
     @classmethod
     def fine(cls, size: Size, pixels: Iterable[Floats]) -> "ImageRaster":
         """With some in each cell of every list of pixels (N, 2)."""
-        cell = max(_cell_of(each, size) for each in pixels)
+        cell = max(_cell_of(pixel, size) for pixel in pixels)
         return cls(cell, size.height // cell, size.width // cell)
 
     @cached_property

@@ -99,9 +99,9 @@ def estimate_jointly(views: Sequence[ObjectView], places: Sequence[Pose]) -> Joi
 def align(first: ObjectView, second: ObjectView, pose: Pose, grains: Sequence[float], count: int) -> Pose:
     """One pair alone, by some of the patches."""
     places = [IDENTITY, pose]
-    for each in grains:
+    for grain in grains:
         for _ in range(_STEPS):
-            found = residuals_of(first, second, (0, 1), places, each * first.grain, count)
+            found = residuals_of(first, second, (0, 1), places, grain * first.grain, count)
             if found is None:
                 return places[1]
             places[1] = Pose.from_vector(_step([found], 2)[1]) @ places[1]

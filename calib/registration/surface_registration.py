@@ -205,9 +205,9 @@ def _finished(candidate: _Candidate, *, with_scale: bool) -> _Candidate:
 def _uncontradicted(candidates: list[_Candidate]) -> list[_Candidate]:
     """Those that hold, and that no other one, of a comparable size, shows to be contradicted by more than chance."""
     holding = [
-        replace(each, judged=judge(each.sides, each.place, each.sign, ALL_SAMPLES))
-        for each in candidates
-        if holds(each.judged)
+        replace(candidate, judged=judge(candidate.sides, candidate.place, candidate.sign, ALL_SAMPLES))
+        for candidate in candidates
+        if holds(candidate.judged)
     ]
     sized = [each for each in holding if not any(surpasses(other.judged, each.judged) for other in holding)]
     return sized or candidates

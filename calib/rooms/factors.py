@@ -256,7 +256,7 @@ def find_contacts(
     """
     matches = [each[evenly(np.ones(len(each), np.bool_), _DENSE)] for each in loose]
     points = [place @ _seen(room, each) for each, place in zip(matches, room.places, strict=True)]
-    trees = [cKDTree(each) for each in points]
+    trees = [cKDTree(point) for point in points]
     normals = [_normals(each, tree, neighbours) for each, tree in zip(points, trees, strict=True)]
     found = []
     for first, second in combinations(range(len(matches)), 2):

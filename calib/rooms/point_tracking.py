@@ -93,7 +93,7 @@ def _followed(
         inside &= drawings[-1][1]
     if np.count_nonzero(inside) < _LEAST_COMMON:
         return None
-    flat = [_without_shading(*each) for each in drawings]
+    flat = [_without_shading(*drawing) for drawing in drawings]
     here, there = _forward_backward(flat[0], flat[1], inside)
     if len(here) < _FEWEST:
         return None

@@ -70,5 +70,5 @@ def _picture(pattern: Pattern, size: tuple[int, int], response: ProjectorRespons
 def _grey(frames: list[Frame]) -> Image:
     """(N, H, W) of grey (H, W) or BGR (H, W, 3) images."""
     images = [frame.image for frame in frames]
-    grey = [np.asarray(cv2.cvtColor(each, cv2.COLOR_BGR2GRAY)) if each.ndim == 3 else each for each in images]
+    grey = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image for image in images]
     return cast(Image, np.stack(grey))

@@ -152,7 +152,7 @@ def _refuse_unturned(places: Sequence[Pose]) -> None:
 
 def stations_outside(captures: Sequence[Decoded], calibration: Calibration) -> tuple[OutlierStation, ...]:
     """The stations of a thing that fit no other one, without an estimate of all."""
-    clouds = [build_cloud(each.matches, each.texture, calibration) for each in captures]
+    clouds = [build_cloud(capture.matches, capture.texture, calibration) for capture in captures]
     return _outlier_stations(register_views(_views(clouds, captures, calibration.camera)[0]), captures)
 
 

@@ -102,9 +102,9 @@ def _scaled(
     if uncertainty is None:
         return calibration, solutions
     return calibration, [
-        replace(each, uncertainty=replace(each.uncertainty, with_log_baseline=uncertainty.with_log_baseline))
-        for each in solutions
-        if each.uncertainty is not None
+        replace(solution, uncertainty=replace(solution.uncertainty, with_log_baseline=uncertainty.with_log_baseline))
+        for solution in solutions
+        if solution.uncertainty is not None
     ]
 
 

@@ -83,7 +83,7 @@ def import_recording(path: Path, programme: Programme, folder: Path, progress: P
         *_on_rows(weights),
         *findings_on_steadiness(path, moved_px(averaged.kept), exposure),
     )
-    imported = Imported(clocks, float(np.mean([_frames(each) for each in weights])), smooth, findings)
+    imported = Imported(clocks, float(np.mean([_frames(weight) for weight in weights])), smooth, findings)
     noise = noise_of(samples, weights, clocks)
     (folder / "frames").mkdir()
     lines = [f"{flow_yaml(key)}: {flow_yaml(value)}\n" for key, value in _header(samples, programme, imported).items()]
@@ -171,7 +171,7 @@ def _on_changes(clocks: Clocks) -> Iterator[Finding]:
 
 def _on_rows(weights: list[PictureWeights]) -> Iterator[Finding]:
     unmixed = 1 - float(np.mean([each.alone for each in weights]))
-    lost = float(np.mean([np.mean(~each.weights.any(axis=0)) for each in weights]))
+    lost = float(np.mean([np.mean(~weight.weights.any(axis=0)) for weight in weights]))
     if unmixed > 0:
         message = f"{unmixed:.1%} of the pictures' rows were unmixed from frames that show two pictures."
         yield Finding(UNMIXED_ROWS, Severity.NOTE, message, data={"unmixed_share": unmixed})

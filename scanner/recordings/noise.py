@@ -18,7 +18,7 @@ def noise_of(samples: VideoSamples, weights: Sequence[PictureWeights], clocks: C
     frame, from the other pictures.
     """
     rows = samples.rows.astype(np.intp)
-    of_frames = np.array([_of_a_frame(samples, clocks, each.numbers, each.weights[:, rows]) for each in weights])
+    of_frames = np.array([_of_a_frame(samples, clocks, weight.numbers, weight.weights[:, rows]) for weight in weights])
     known = of_frames[np.isfinite(of_frames)]
     usual = float(np.median(known)) if known.size else 0.0
     of_frames = np.where(np.isfinite(of_frames), of_frames, usual)

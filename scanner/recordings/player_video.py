@@ -50,6 +50,6 @@ def _pictures(programme: Programme) -> Iterator[tuple[NDArray[np.uint8], int]]:
     fields = {WHITE: np.full((height, width), 255, np.uint8), BLACK: np.zeros((height, width), np.uint8)}
     hold = round(programme.hold_s * FRAMES_PER_SECOND)
     yield fields[BLACK], round(LEAD_IN_S * FRAMES_PER_SECOND)
-    for shown in programme.slots:
-        yield fields[shown] if shown in fields else draw(programme.patterns[shown], programme.size), hold
+    for slot in programme.slots:
+        yield fields[slot] if slot in fields else draw(programme.patterns[slot], programme.size), hold
     yield fields[BLACK], round(LEAD_OUT_S * FRAMES_PER_SECOND)

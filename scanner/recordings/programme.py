@@ -149,7 +149,7 @@ def read_programme(path: Path) -> Programme:
     if isinstance(data, dict) and "video" not in data:
         raise InputError(f"{path}: expected the sequence.yaml of a video, as scan patterns --video writes it")
     entry = validate(_SequenceEntry, data, str(path))
-    patterns = tuple(shown.pattern.pattern() for shown in entry.frames)
+    patterns = tuple(frame.pattern.pattern() for frame in entry.frames)
     try:
         size = Size(entry.projector.width, entry.projector.height)
         return Programme(patterns, size, entry.video.hold_s, entry.video.loops, PixelGrid(entry.pixel_aspect))

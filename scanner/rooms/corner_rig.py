@@ -93,7 +93,7 @@ def _of_most_stations(corners: dict[int, Uncertainty], stations: Sequence[Decode
     if len(candidates) == 1:
         return candidates[0]
     rigs = [_calibration(rig, stations) for _, rig, _ in candidates]
-    offsets = [[line_offsets(each.matches, rig) for each in stations] for rig in rigs]
+    offsets = [[line_offsets(station.matches, rig) for station in stations] for rig in rigs]
     usual = min(usual_px(of_rig) for of_rig in offsets)
     on_lines = [sum(each.deviation_px(usual) is None for each in of_rig) for of_rig in offsets]
     best = max(range(len(candidates)), key=lambda n: (on_lines[n], len(candidates[n][0])))
@@ -122,11 +122,11 @@ def _combined(corners: Sequence[Uncertainty]) -> tuple[State, Floats]:
     first = corners[0].rig
     precision, pull = np.zeros((SHARED, SHARED)), np.zeros(SHARED)
     free = _observed(corners[0])
-    for each in corners:
+    for corner in corners:
         own = np.zeros_like(precision)
-        own[np.ix_(free, free)] = inverse_of(each.covariance[np.ix_(free, free)])
+        own[np.ix_(free, free)] = inverse_of(corner.covariance[np.ix_(free, free)])
         precision += own
-        pull += own @ first.step_to(each.rig)
+        pull += own @ first.step_to(corner.rig)
     covariance, step = np.zeros_like(precision), np.zeros(SHARED)
     covariance[np.ix_(free, free)] = inverse_of(precision[np.ix_(free, free)])
     step[free] = covariance[np.ix_(free, free)] @ pull[free]

@@ -43,7 +43,7 @@ def fused(room: SolvedRoom) -> Mesh | None:
             block_count=_MOST_BLOCKS,
         )
         blocks = [volume.compute_unique_block_coordinates(*view.of_depth, *view.reach, _TRUNCATED) for view in views]
-        count = sum(len(each) for each in blocks)
+        count = sum(len(block) for block in blocks)
         if count <= _MOST_BLOCKS:
             break
         voxel *= 1.1 * float(np.sqrt(count / _MOST_BLOCKS))

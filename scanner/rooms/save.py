@@ -64,7 +64,7 @@ def entries_of(room: SolvedRoom) -> dict[str, Any]:
     """room.yaml: X_room = rotation X_camera + translation; normal · X_room = offset."""
     entries: dict[str, Any] = {
         "unit": room.unit,
-        "stations": [station_entries(each) | {"residual_px": each.residual_px} for each in room.stations],
+        "stations": [station_entries(station) | {"residual_px": station.residual_px} for station in room.stations],
         "planes": [_plane(room, number) for number in range(len(room.planes))],
     }
     entries |= pose_error_entries(pose_errors(room), room.calibration.pose.translation)
@@ -73,10 +73,12 @@ def entries_of(room: SolvedRoom) -> dict[str, Any]:
     if room.group.ambiguous:
         entries["alternatives"] = [
             {
-                "behind_nats": each.behind_nats,
-                "stations": [motion_entries((room.upright @ place).scaled(room.factor)) for place in each.places],
+                "behind_nats": alternative.behind_nats,
+                "stations": [
+                    motion_entries((room.upright @ place).scaled(room.factor)) for place in alternative.places
+                ],
             }
-            for each in room.group.alternatives
+            for alternative in room.group.alternatives
         ]
     return entries
 

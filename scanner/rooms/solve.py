@@ -180,7 +180,7 @@ def _checked_against_surfaces(
     Raises RefusalError if the surfaces contradict each other as well.
     """
     members = registered.members
-    matches = [ideal_matches(each.decoded.matches, start) for each in members]
+    matches = [ideal_matches(member.decoded.matches, start) for member in members]
     with progress.step("Asking the surfaces"):
         if not disagreements(matches, estimate):
             return estimate, False
@@ -219,10 +219,10 @@ def _estimated(members: Sequence[CaptureView], group: Group, start: RigStart, co
         prior = RigPrior.from_calibration(state, start.uncertainty.covariance)
     else:
         prior = RigPrior.exactly(state)
-    matches = [ideal_matches(each.decoded.matches, start) for each in members]
+    matches = [ideal_matches(member.decoded.matches, start) for member in members]
     loose = [each[seen.plane < 0] for each, seen in zip(matches, members, strict=True)]
     cells = [_cells(each, seen.plane) for each, seen in zip(matches, members, strict=True)]
-    if not any(len(each) for each in cells):
+    if not any(len(cell) for cell in cells):
         return estimate_without_planes(loose, group.places, state, prior)
     return estimate_room(
         cells,
@@ -320,7 +320,7 @@ def _finished(
         factor,
         group,
         registration.pairs,
-        tuple(each.name for each in captures),
+        tuple(capture.name for capture in captures),
         outlier_stations_of(registration, captures, calibration, stations),
         tuple(findings),
         floor,

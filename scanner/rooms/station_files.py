@@ -56,8 +56,8 @@ def motion_entries(place: Pose) -> dict[str, Any]:
 def outlier_entries(outliers: Sequence[OutlierStation]) -> dict[str, Any]:
     """A key for the captures that are left out; nothing without any."""
     entries = [
-        {"name": each.name, "cause": each.finding.kind.name.replace("-", " "), "reason": each.finding.message}
-        for each in outliers
+        {"name": outlier.name, "cause": outlier.finding.kind.name.replace("-", " "), "reason": outlier.finding.message}
+        for outlier in outliers
     ]
     return {"left_out": entries} if entries else {}
 

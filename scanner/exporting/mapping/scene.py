@@ -59,5 +59,5 @@ def _of_network(result: Path) -> MappedScene:
     if mesh is None:
         raise InputError(f"{result / NETWORK.cloud}: its points do not hang together as a surface to project on")
     mesh = with_mesh_steps(mesh, cleaned.steps)
-    first, second = (each.name for each in network.devices[:2])
+    first, second = (device.name for device in network.devices[:2])
     return MappedScene(projectors, mesh, f"from {first} to {second}")

@@ -55,7 +55,7 @@ def test_errors_match_their_sigmas(six: tuple[SyntheticBoards, BoardCalibration]
 def test_cross_validation_errors_match_the_prediction(six: tuple[SyntheticBoards, BoardCalibration]) -> None:
     _, found = six
     assert len(found.predictions) == 6
-    assert 0.4 < np.sqrt(np.mean([each.sigmas**2 for each in found.predictions])) < 1.9
+    assert 0.4 < np.sqrt(np.mean([prediction.sigmas**2 for prediction in found.predictions])) < 1.9
     assert 0.1 < found.halves.sigmas < 3.0
     assert set(found.halves.first) | set(found.halves.second) == {f"view {i}" for i in range(6)}
 

@@ -56,8 +56,8 @@ def calibrated(seed: int, scale: float) -> SelfCalibration:
     captures = random_captures(np.random.default_rng([7, seed]), 2, count=5000, walls_off_deg=0.3)
     middle = np.array([(SIZES[1][0] - 1) / 2, 0.0])
     scaled = [
-        replace(each.matches, projector_px=(each.matches.projector_px - middle) * (scale, 1.0) + middle)
-        for each in captures
+        replace(capture.matches, projector_px=(capture.matches.projector_px - middle) * (scale, 1.0) + middle)
+        for capture in captures
     ]
     return self_calibrate_jointly(scaled, *SIZES, principal_point=CENTRE)[0]
 

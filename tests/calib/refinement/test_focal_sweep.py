@@ -20,7 +20,7 @@ def test_the_starts_at_the_true_focal_include_the_truth() -> None:
     truth = true_state(capture)
     family = family_of(each_a_cell(capture), KNOWLEDGE)
     starts = family.starts(np.array([truth.camera[0], 1.3 * truth.camera[0]]))
-    assert [len(each) in (1, 2) for each in starts] == [True, True]
+    assert [len(start) in (1, 2) for start in starts] == [True, True]
     best = min(starts[0], key=lambda state: abs(state.projector[0] - truth.projector[0]))
     np.testing.assert_allclose(best.camera[:3], truth.camera[:3], rtol=1e-6)
     np.testing.assert_allclose(best.projector[:3], truth.projector[:3], rtol=0.01)
@@ -57,7 +57,7 @@ def test_captures_of_one_rig_fit_no_better_together_than_alone() -> None:
     cells = [each_a_cell(capture) for capture in captures]
     truth = captures[0].calibration.camera.focal_px[0]
     focals = truth * np.array([0.4, 0.9, 1.0, 1.1, 3.0])
-    alone = [sweep_one(each, family_of(each, KNOWLEDGE), focals, KNOWLEDGE) for each in cells]
+    alone = [sweep_one(cell, family_of(cell, KNOWLEDGE), focals, KNOWLEDGE) for cell in cells]
     sweep = sweep_jointly(cells, alone, focals, KNOWLEDGE)
     costs = [fit.cost if fit else np.inf for fit in sweep]
     assert np.argmin(costs) == 2

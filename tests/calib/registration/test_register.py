@@ -125,8 +125,8 @@ def test_a_bare_room_is_ambiguous() -> None:
     (group,) = register([view_of(station) for station in stations]).groups
     assert group.ambiguous
     assert group.ahead_nats < 7
-    for other in group.alternatives:
-        assert len(other.places) == len(group.stations)
+    for alternative in group.alternatives:
+        assert len(alternative.places) == len(group.stations)
 
 
 def test_stations_without_points_have_no_overlap(views: list[StationView]) -> None:

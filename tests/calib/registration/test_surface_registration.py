@@ -123,7 +123,7 @@ def test_an_ellipsoid_fits_in_four_ways() -> None:
     assert found.alignment is Alignment.AMBIGUOUS
     assert found.best is not None
     assert len(found.alternatives) == 3
-    angles = [np.degrees(found.best.pose.angle_from(other.pose)) for other in found.alternatives]
+    angles = [np.degrees(found.best.pose.angle_from(alternative.pose)) for alternative in found.alternatives]
     assert np.allclose(angles, 180.0, atol=2.0)
 
 

@@ -26,7 +26,7 @@ def held(shown: list[np.ndarray], frame: np.ndarray, number: int) -> float:
     own = shown[number].astype(float)
     off = ((frame - 10.0) / 12.0 - own)[:, _LIT]
     towards = [shown[other][:, _LIT] - own[:, _LIT] for other in (number - 1, number + 1) if 0 <= other <= LAST]
-    return float(max(np.sum(off * each) / np.sum(each**2) for each in towards))
+    return float(max(np.sum(off * toward) / np.sum(toward**2) for toward in towards))
 
 
 @pytest.mark.parametrize(

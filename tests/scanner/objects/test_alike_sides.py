@@ -58,7 +58,7 @@ def test_a_thing_that_looks_the_same_from_behind_is_ambiguous(tmp_path: Path) ->
     verdict = verdict_on(found)
     assert verdict.grade == "refused"
     assert "more than one way" in verdict.headline
-    assert 150 < max(each.turn_deg for each in found.alternatives) <= 180
+    assert 150 < max(alternative.turn_deg for alternative in found.alternatives) <= 180
 
 
 def test_flat_sides_do_not_outweigh_what_speaks_against_them(tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ def test_a_station_of_another_object_is_named_and_left_out() -> None:
     stations = thing_stations([0, 1, 2], CAMERA, seed=2, steps=12, background=False)
     stranger = thing_stations([0], CAMERA, seed=2, steps=12, background=False, kind="box")
     found = solved([*stations, *stranger])
-    assert [each.name for each in found.outlier_stations] == ["Station 4"]
+    assert [outlier_station.name for outlier_station in found.outlier_stations] == ["Station 4"]
     assert verdict_on(found).grade == "fair"
 
 
@@ -134,7 +134,7 @@ def test_a_calibration_of_another_rig_is_refused() -> None:
     stations = thing_stations([0, 1], CAMERA, seed=1, background=False)
     other = thing_stations([0], CAMERA, seed=3, background=False)[0].calibration
     with pytest.raises(RefusalError, match=r"Station 1: With this calibration, rays .* miss by 4\d projector pixels"):
-        solved([replace(each, calibration=other) for each in stations])
+        solved([replace(station, calibration=other) for station in stations])
 
 
 def test_stations_without_overlap_are_refused() -> None:
@@ -149,8 +149,8 @@ def test_a_thing_that_is_hardly_measured_is_not_said_to_be_turned_too_far(kept: 
     """With all of their matches, the two stations fit together."""
     stations = thing_stations([0, 2], CAMERA, seed=2, background=False)
     dark = [
-        replace(each, matches=each.matches[np.random.default_rng(0).permutation(len(each.matches))[:kept]])
-        for each in stations
+        replace(station, matches=station.matches[np.random.default_rng(0).permutation(len(station.matches))[:kept]])
+        for station in stations
     ]
     with pytest.raises(RefusalError, match=f"Station 1, Station 2: only {kept} of its pixels {what}") as refusal:
         solved(dark)
@@ -184,7 +184,7 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
     size = np.ptp(shown.points, axis=0).max() / found.calibration.baseline
     assert 0.3 < size < 3
     again = read_stations([tmp_path], config_for(CAMERA), Terminal(quiet=True))
-    assert [len(each.matches) for each in again] == [len(each.decoded.matches) for each in found.stations]
+    assert [len(each.matches) for each in again] == [len(station.decoded.matches) for station in found.stations]
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     for part in ("All 5 stations fit together as one object", 'class="points"', "of the surface bridges holes"):
         assert part in page

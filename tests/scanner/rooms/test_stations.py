@@ -83,9 +83,9 @@ def test_a_changed_rig_is_left_out_even_if_its_surfaces_fit(example: SolvedExamp
     write_matches(tmp_path / "changed.npz", with_turned_projector(example.true[3], (0.1, 0.0, 0.1)).matches)
     captures = read_stations([example.files[0], tmp_path / "changed.npz", example.files[2]], example.config, QUIET)
     solved = solve_room(captures, given_rig(tmp_path / "rig.yaml", example.config), example.config, QUIET)
-    assert [(each.name, each.finding.kind.name) for each in solved.outlier_stations] == [
-        (str(tmp_path / "changed.npz"), "changed-rig")
-    ]
+    assert [
+        (outlier_station.name, outlier_station.finding.kind.name) for outlier_station in solved.outlier_stations
+    ] == [(str(tmp_path / "changed.npz"), "changed-rig")]
     assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 2)}
     (told,) = live._guidance(captures[:2], truth)
     assert "was taken with another rig" in told
