@@ -16,9 +16,7 @@ _FAR = 3.0  # coarse cells, up to which it does
 _LEAST_SHARE = 0.85  # of samples that agree, among those that say something
 _LEAST_CELLS = 30.0  # coarse cells that agree
 _LEAST_OVERLAP = 0.06
-_RIVAL_CELLS = 0.5  # of the best one's agreeing cells, that make another pose a rival
-# Shares of both surfaces that do not coincide by chance. A rival then has to explain nearly as much of them.
-_COMPLETE, _NEARLY_AS_MUCH = 0.8, 0.85
+RIVAL_CELLS = 0.5  # of the best one's agreeing cells, that make another pose a rival
 _SURE, _BY_CHANCE = 2.0, 0.3  # standard deviations; contradictions that are expected where there are none
 _CLUSTER = 0.25  # coarse cells, whose contradiction counts as one
 _SAME_TOLERANCES = 4.0
@@ -101,17 +99,7 @@ def surpasses(one: SurfacePose, other: SurfacePose) -> bool:
     against, said = one.contradicting / _CLUSTER, (one.agreeing + one.contradicting) / _CLUSTER
     expected = (against + _BY_CHANCE) * (other.agreeing + other.contradicting) / _CLUSTER / (said + _BY_CHANCE)
     most = expected + _SURE * np.sqrt(expected) + 1.0
-    return one.agreeing > _RIVAL_CELLS * other.agreeing and other.contradicting / _CLUSTER > most
-
-
-def is_rival(other: SurfacePose, best: SurfacePose) -> bool:
-    """Whether a pose explains so much that it may be the right one, though another explains more.
-
-    Surfaces that overlap in part may do so by chance where they look alike, as corners of rooms do. Hardly all of both.
-    """
-    if min(best.overlap) > _COMPLETE:
-        return sum(other.overlap) > _NEARLY_AS_MUCH * sum(best.overlap)
-    return other.agreeing > _RIVAL_CELLS * best.agreeing
+    return one.agreeing > RIVAL_CELLS * other.agreeing and other.contradicting / _CLUSTER > most
 
 
 def are_apart(one: SurfacePose, other: SurfacePose, points: Floats, tolerance: float) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.geometry import Pose
 from calib.numerics import Floats, Ints, biweight, robust_covariance, robust_sigma
-from calib.registration.surface_evidence import SurfacePose, are_apart, holds, is_rival, judge, surpasses, worth
+from calib.registration.surface_evidence import RIVAL_CELLS, SurfacePose, are_apart, holds, judge, surpasses, worth
 from calib.registration.surface_fit import FreeMotion, PairFit, free_motions, position_jacobian
 from calib.registration.surface_hypotheses import surface_poses
 from calib.registration.surface_pair import (
@@ -162,7 +162,7 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool) -> SurfaceRegistr
     made = SurfaceRegistration(Alignment.LOOSE, whole, (), free, centre + shift, unknown, residual, tolerance)
     if free:
         return made
-    rivals = [each for each in ordered[1:] if is_rival(each.judged, whole)]
+    rivals = [each for each in ordered[1:] if each.judged.agreeing > RIVAL_CELLS * whole.agreeing]
     alternatives: list[SurfacePose] = []
     points = best.sides.second.fine.some(500).points + best.sides.second.middle
     for rival in rivals:
