@@ -89,9 +89,9 @@ check-types: $(VENV)/.dev
 bytecode: $(VENV)/.dev
 	@$(BIN)/pytest --collect-only > /dev/null || true # the tests will say why
 
-# One process more than there are processors: tests of devices, pages and workers mostly wait.
+# Two processes more than there are processors: tests of devices, pages and workers mostly wait.
 unit: $(VENV)/.dev $(VENV)/.compiled
-	$(BIN)/pytest -n $$(($$(getconf _NPROCESSORS_ONLN) + 1)) --dist loadgroup
+	$(BIN)/pytest -n $$(($$(getconf _NPROCESSORS_ONLN) + 2)) --dist loadgroup
 
 benchmark: $(VENV)/.dev try-rig
 	@for file in benchmarks/bench_*.py; do \
