@@ -1,6 +1,7 @@
 """A comparison of surfaces in words and as tables."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 from rich.table import Table
@@ -103,9 +104,10 @@ def _reasons(comparison: SurfaceComparison) -> Iterator[str]:
     distance = comparison.distance[comparison.there]
     if len(distance):
         low, middle, high = np.quantile(distance, (0.05, 0.5, 0.95))
+        shown = partial(unit.number, signed=True, beside=float(high - low))
         yield (
-            f"90 % of {len(distance):,} points deviate by {unit.number(float(low), signed=True)} to "
-            f"{unit.error(float(high), signed=True)}, median {unit.error(float(middle), signed=True)}."
+            f"90 % of {len(distance):,} points deviate by {shown(float(low))} to {shown(float(high))} {unit.name}, "
+            f"median {shown(float(middle))} {unit.name}."
         )
     missing = 1 - len(distance) / max(1, len(comparison.distance))
     if missing > 0.005:
@@ -184,8 +186,9 @@ def quantile_rows(comparison: SurfaceComparison) -> list[tuple[str, str]]:
     if not len(distance):
         return []
     values = np.quantile(distance, QUANTILES)
+    beside = float(values[-1] - values[0])
     return [
-        (f"{100 * share:.0f} %", unit.error(float(value), signed=True))
+        (f"{100 * share:.0f} %", unit.error(float(value), signed=True, beside=beside))
         for share, value in zip(QUANTILES, values, strict=True)
     ]
 

@@ -116,14 +116,14 @@ class ShownUnit:
         decimals = _decimals(sigma * self.factor, 2)
         return f"{plain(value, decimals)} ± {plain(sigma * self.factor, decimals)}"
 
-    def error(self, value: float, *, signed: bool = False) -> str:
+    def error(self, value: float, *, signed: bool = False, beside: float | None = None) -> str:
         """'0.0123 mm'."""
-        return f"{self.number(value, signed=signed)} {self.name}"
+        return f"{self.number(value, signed=signed, beside=beside)} {self.name}"
 
-    def number(self, value: float, *, signed: bool = False) -> str:
-        """'0.0123': three significant digits."""
-        value *= self.factor
-        return plain(value, _decimals(value, _SIGNIFICANT), signed=signed)
+    def number(self, value: float, *, signed: bool = False, beside: float | None = None) -> str:
+        """'0.0123': three significant digits, or the digits of a value that it stands `beside`."""
+        decimals = _decimals(self.factor * (value if beside is None else beside), _SIGNIFICANT)
+        return plain(self.factor * value, decimals, signed=signed)
 
 
 def shown_unit(unit: str) -> ShownUnit:
