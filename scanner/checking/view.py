@@ -140,7 +140,7 @@ class PictureCoverage:
 
 
 def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> PictureCoverage:
-    """Compute the coverage from the matches of a capture; at least one is required."""
+    """Compute the coverage from the matches of a capture; without one, the middles are the centres."""
     height, width = decoding.reasons.shape
     across = _SQUARES_ACROSS
     down = max(1, round(across * projector_size[1] / projector_size[0]))
@@ -148,17 +148,23 @@ def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> PictureC
     column, row = (position * (across, down)).astype(np.int64).clip(0, (across - 1, down - 1)).T
     tiles = np.zeros((down, across), np.bool_)
     tiles[row, column] = True
-    middle = (decoding.matches.camera_px.mean(axis=0) + 0.5) / (width, height) - 0.5
-    seen_y, seen_x = np.nonzero(tiles)
+    camera_places = (decoding.matches.camera_px + 0.5) / (width, height)
+    tile_places = (np.argwhere(tiles)[:, ::-1] + 0.5) / (across, down)
     spanned = tiles.mean() * projector_size[0] * projector_size[1] / max(1, len(decoding.matches))
     return PictureCoverage(
         float(np.mean(decoding.reasons == MaskReason.KEPT)),
-        (float(middle[0]), float(middle[1])),
+        _from_centre(camera_places),
         float(tiles.mean()),
-        (float(np.mean(seen_x + 0.5) / across - 0.5), float(np.mean(seen_y + 0.5) / down - 0.5)),
+        _from_centre(tile_places),
         tiles,
         float(np.sqrt(spanned)),
     )
+
+
+def _from_centre(places: Floats) -> tuple[float, float]:
+    """The middle of places (N, 2), from 0 to 1 across a picture, from the picture's centre."""
+    x, y = places.mean(axis=0) - 0.5 if len(places) else (0.0, 0.0)
+    return float(x), float(y)
 
 
 def decoded_share(decoding: Decoding) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calib.geometry import PixelGrid
+from calib.geometry import Matches, PixelGrid
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Rig, exposure_control
@@ -286,6 +286,14 @@ def test_undecoded_lit_pixels_give_no_directions() -> None:
     assert found.state == CheckState.POOR
     assert "only 25 % of the lit pixels decode" in found.finding.message
     assert "Turn" not in found.finding.advice
+
+
+def test_without_a_match_nothing_is_covered() -> None:
+    reasons = np.full((48, 64), 3, np.uint8)
+    matches = Matches(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
+    coverage = view.coverage_of(cast(Decoding, SimpleNamespace(reasons=reasons, matches=matches)), PROJECTOR)
+    assert (coverage.camera, coverage.projector, coverage.span) == (0.0, 0.0, 0.0)
+    assert coverage.camera_middle == coverage.projector_middle == (0.0, 0.0)
 
 
 def decoding_with(reasons: NDArray[np.uint8]) -> Decoding:
