@@ -12,12 +12,12 @@ spatial compatibility for efficient and robust point cloud registration", 2022).
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import IDENTITY, Pose, rotation_about
+from calib.geometry import IDENTITY, Pose
 from calib.numerics import Bools, Floats, compiled, distinct
 from calib.objects.joint import WIDE, align
 from calib.objects.patch_overlap import mark_pairs
 from calib.objects.view import ObjectView
-from calib.registration import even_rotations, fit_rigid_motion, pixel_under, rotate_vector
+from calib.registration import add_pair, even_rotations, fit_rigid_motion, pixel_under, rotate_vector, step_pose
 
 _TURNS = 1200  # rotations; any rotation is about 17° from the nearest one
 # Numbers of patches, and distances in grains within which they match: for all descents, and for the best.
@@ -99,7 +99,6 @@ def _descend(
 ) -> None:
     """Move all poses (K, 3, 3), (K, 3) point to plane; `worth` (K,): matching patches minus free space violations."""
     height, width = near.shape
-    row = np.empty(6)
     for k in range(len(turns)):
         r, t = turns[k], shifts[k]
         for within in withins:
@@ -124,25 +123,10 @@ def _descend(
                     continue
                 share = 1 - (off / within) ** 2
                 worth[k] += share
-                u, v, w = x - centre[0], y - centre[1], z - centre[2]
-                row[0], row[1], row[2] = v * s - w * q, w * p - u * s, u * q - v * p
-                row[3], row[4], row[5] = p, q, s
-                for a in range(6):
-                    for b in range(6):
-                        matrix[a, b] += share * share * row[a] * row[b]
-                    gradient[a] += share * share * off * row[a]
-            trace_turn = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
-            trace_shift = matrix[3, 3] + matrix[4, 4] + matrix[5, 5]
-            if not trace_turn * trace_shift > 0:
+                arm = x - centre[0], y - centre[1], z - centre[2]
+                add_pair(matrix, gradient, arm, (p, q, s), off, share * share)
+            if not step_pose(matrix, gradient, _DAMPING, centre, r, t):
                 break
-            for a in range(3):
-                matrix[a, a] += _DAMPING * trace_turn
-                matrix[a + 3, a + 3] += _DAMPING * trace_shift
-            twist: Floats = -np.linalg.solve(matrix, gradient).astype(np.float64)
-            turn = rotation_about(twist[:3])
-            turns[k] = turn @ r
-            shifts[k] = turn @ (t - centre) + centre + twist[3:]
-            r, t = turns[k], shifts[k]
 
 
 _SEARCHED = 8

@@ -27,6 +27,7 @@ from calib.registration.keypoints import (
     sift,
 )
 from calib.registration.outlier_stations import ANOTHER_ROOM, SOMETHING_MOVED
+from calib.registration.plane_step import add_pair, step_pose
 from calib.registration.pose_graph import PairPose, PoseGraph, solve_pose_graph
 from calib.registration.range_view import StationView, pixel_under, rotate_vector, sample_evenly, station_view
 from calib.registration.register import (
@@ -39,7 +40,15 @@ from calib.registration.register import (
     register,
 )
 from calib.registration.rotations import even_rotations
-from calib.registration.sampled_surface import SampledSurface, local_noise, measured_noise, sample_mesh, sample_surface
+from calib.registration.sampled_surface import (
+    SampledSurface,
+    extent_of,
+    local_noise,
+    measured_noise,
+    sample_mesh,
+    sample_surface,
+    spacing_of,
+)
 from calib.registration.segments import relative_noise
 from calib.registration.straight_planes import split_planes
 from calib.registration.surface_evidence import SurfacePose

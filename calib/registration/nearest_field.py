@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Pose, rotation_about
-from calib.numerics import Floats, compiled
+from calib.geometry import Pose
+from calib.numerics import Floats, compiled, inlined
+from calib.registration.plane_step import add_pair, step_pose
 from calib.registration.range_view import rotate_vector
 from calib.registration.sampled_surface import SampledSurface
 
@@ -119,6 +120,34 @@ def _sample_at(x: float, y: float, z: float, index: NDArray[np.int32], origin: F
     return int(index[int(a), int(b), int(c)])
 
 
+@inlined
+def _paired(
+    r: Floats,
+    t: Floats,
+    patch: Floats,
+    patch_normal: Floats,
+    points: Floats,
+    normals: Floats,
+    index: NDArray[np.int32],
+    origin: Floats,
+    cell: float,
+) -> tuple[int, float, float, float, float, float, float]:
+    """The sample that a patch at a pose lies beside, −1 for none; and the patch's place and normal there."""
+    x, y, z = rotate_vector(r, patch)
+    x, y, z = x + t[0], y + t[1], z + t[2]
+    n = _sample_at(x, y, z, index, origin, cell)
+    if n < 0:
+        return -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    e, f, g = rotate_vector(r, patch_normal)
+    if e * normals[n, 0] + f * normals[n, 1] + g * normals[n, 2] < _LIKE:
+        return -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    a, b, c = x - points[n, 0], y - points[n, 1], z - points[n, 2]
+    off = a * normals[n, 0] + b * normals[n, 1] + c * normals[n, 2]
+    if a * a + b * b + c * c - off * off > 4 * cell * cell:
+        return -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    return n, x, y, z, e, f, g
+
+
 @compiled
 def _evaluate(
     turns: Floats,
@@ -137,19 +166,11 @@ def _evaluate(
         r, t = turns[k], shifts[k]
         total = 0.0
         for m in range(len(patches)):
-            x, y, z = rotate_vector(r, patches[m])
-            x, y, z = x + t[0], y + t[1], z + t[2]
-            n = _sample_at(x, y, z, index, origin, cell)
+            n, x, y, z, _, _, _ = _paired(r, t, patches[m], patch_normals[m], points, normals, index, origin, cell)
             if n < 0:
-                continue
-            e, f, g = rotate_vector(r, patch_normals[m])
-            cosine = e * normals[n, 0] + f * normals[n, 1] + g * normals[n, 2]
-            if cosine < _LIKE:
                 continue
             a, b, c = x - points[n, 0], y - points[n, 1], z - points[n, 2]
             off = a * normals[n, 0] + b * normals[n, 1] + c * normals[n, 2]
-            if a * a + b * b + c * c - off * off > 4 * cell * cell:
-                continue
             if np.abs(off) < within:
                 total += 1 - (off / within) ** 2
             else:
@@ -172,7 +193,7 @@ def _descend(
     worth: Floats,
 ) -> None:
     """Move all poses (K, 3, 3), (K, 3) point to plane; `worth` (K,): as of `worths`, before the last step."""
-    row, centre = np.empty(6), np.zeros(3)
+    centre = np.zeros(3)
     for k in range(len(turns)):
         r, t = turns[k], shifts[k]
         for within in withins:
@@ -181,20 +202,11 @@ def _descend(
             for axis in range(3):
                 centre[axis] = t[axis]
             for m in range(len(patches)):
-                x, y, z = rotate_vector(r, patches[m])
-                x, y, z = x + t[0], y + t[1], z + t[2]
-                n = _sample_at(x, y, z, index, origin, cell)
+                n, x, y, z, e, f, g = _paired(r, t, patches[m], patch_normals[m], points, normals, index, origin, cell)
                 if n < 0:
                     continue
-                e, f, g = rotate_vector(r, patch_normals[m])
-                p, q, s = normals[n, 0], normals[n, 1], normals[n, 2]
-                if e * p + f * q + g * s < _LIKE:
-                    continue
                 a, b, c = x - points[n, 0], y - points[n, 1], z - points[n, 2]
-                off = a * p + b * q + c * s
-                if a * a + b * b + c * c - off * off > 4 * cell * cell:
-                    continue
-                p, q, s = p + e, q + f, s + g
+                p, q, s = normals[n, 0] + e, normals[n, 1] + f, normals[n, 2] + g
                 length = np.sqrt(p * p + q * q + s * s)
                 p, q, s = p / length, q / length, s / length
                 off = a * p + b * q + c * s
@@ -203,22 +215,7 @@ def _descend(
                     continue
                 share = 1 - (off / within) ** 2
                 worth[k] += share
-                u, v, w = x - centre[0], y - centre[1], z - centre[2]
-                row[0], row[1], row[2] = v * s - w * q, w * p - u * s, u * q - v * p
-                row[3], row[4], row[5] = p, q, s
-                for i in range(6):
-                    for j in range(6):
-                        matrix[i, j] += share * share * row[i] * row[j]
-                    gradient[i] += share * share * off * row[i]
-            trace_turn = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
-            trace_shift = matrix[3, 3] + matrix[4, 4] + matrix[5, 5]
-            if not trace_turn * trace_shift > 0:
+                arm = x - centre[0], y - centre[1], z - centre[2]
+                add_pair(matrix, gradient, arm, (p, q, s), off, share * share)
+            if not step_pose(matrix, gradient, _DAMPING, centre, r, t):
                 break
-            for i in range(3):
-                matrix[i, i] += _DAMPING * trace_turn
-                matrix[i + 3, i + 3] += _DAMPING * trace_shift
-            twist: Floats = -np.linalg.solve(matrix, gradient).astype(np.float64)
-            turn = rotation_about(twist[:3])
-            turns[k] = turn @ r
-            shifts[k] = turn @ (t - centre) + centre + twist[3:]
-            r, t = turns[k], shifts[k]

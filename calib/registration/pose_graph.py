@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from calib.geometry import PER_POSE, Pose, cross_matrix
+from calib.geometry import IDENTITY, PER_POSE, Pose, cross_matrix
 from calib.numerics import Floats
 from calib.registration.alignment import couple_poses
 
@@ -99,7 +99,7 @@ def _is_off(pair: PairPose, places: Mapping[int, Pose]) -> bool:
 
 def _connected(pairs: Sequence[PairPose], root: int) -> dict[int, Pose]:
     """Places along the pairs that are known best."""
-    places = {root: Pose(np.eye(3), np.zeros(3))}
+    places = {root: IDENTITY}
     ordered = sorted(pairs, key=lambda pair: float(np.trace(pair.covariance[3:, 3:])))
     while True:
         step = next((pair for pair in ordered if (pair.first in places) != (pair.second in places)), None)

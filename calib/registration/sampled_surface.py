@@ -59,8 +59,7 @@ class SampledSurface:
     @property
     def extent(self) -> float:
         """How large it is: the diagonal of the box that holds the middle 96 % along each axis."""
-        low, high = np.quantile(self.points, (0.02, 0.98), axis=0)
-        return float(np.linalg.norm(high - low))
+        return extent_of(self.points)
 
     def some(self, count: int) -> "SampledSurface":
         """`count` of the samples, at random, but the same every time."""
@@ -123,6 +122,18 @@ def sample_surface(points: Floats, normals: Floats | None, cell: float, noise: f
         found = scattered_surface(means[None].astype(np.float32)).normals[0].astype(np.float64)
         return SampledSurface(means, _oriented(means, found), count, spread, cell, noise, False)
     return SampledSurface(means, directions, count, spread, cell, noise, True)
+
+
+def extent_of(points: Floats, outside: float = 0.02) -> float:
+    """How large a cloud (N, 3) is: the diagonal of the box that holds it, but for a share `outside` at either end."""
+    low, high = np.quantile(points, (outside, 1 - outside), axis=0)
+    return float(np.linalg.norm(high - low))
+
+
+def spacing_of(points: Floats) -> float:
+    """Median distance of neighbouring points (N, 3) along a surface: the third nearest is half as far again."""
+    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+    return median(np.asarray(tree.query(evenly_spread(points, _NOISE_SAMPLE), 4)[0])[:, -1]) / 1.5
 
 
 def measured_noise(points: Floats) -> float:

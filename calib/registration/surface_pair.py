@@ -8,11 +8,11 @@ from scipy.spatial import cKDTree
 
 from calib.numerics import Floats, evenly_spread, median
 from calib.registration.free_space import FreeSpace
-from calib.registration.sampled_surface import SampledSurface, measured_noise, sample_surface
+from calib.registration.sampled_surface import SampledSurface, extent_of, measured_noise, sample_surface, spacing_of
 
 MANY_SAMPLES, ALL_SAMPLES = 4000, 16_000  # by which hypotheses are judged, and the last ones
 ACROSS = 40.0  # coarse cells across the smaller surface
-_MOST_POINTS = 400_000
+_MOST_POINTS, _EXTENT_SAMPLE = 400_000, 20_000
 _FINE = 160.0  # fine cells across the smaller surface
 _MOST_COARSE, _COARSENINGS = 40_000, 3  # samples of the larger surface; attempts to have no more
 _SPACINGS = 1.5  # least edge of a fine cell, in distances of neighbouring points
@@ -68,13 +68,13 @@ class SurfacePair:
         """Thinned out if they are large, with their noise."""
         first, second = _thinned(first), _thinned(second)
         noises = [measured_noise(side.points) if side.noise is None else side.noise for side in (first, second)]
-        return cls(first, second, (_spacing(first.points), _spacing(second.points)), (noises[0], noises[1]))
+        return cls(first, second, (spacing_of(first.points), spacing_of(second.points)), (noises[0], noises[1]))
 
     def scaled(self, scale: float) -> "ScaledPair":
         """Samples of both in the first one's unit. Raises ValueError for too few."""
         points = scale * self.second.points
         middles = np.median(self.first.points, axis=0), np.median(points, axis=0)
-        extent = min(_extent(self.first.points), _extent(points))
+        extent = min(extent_of(evenly_spread(side, _EXTENT_SAMPLE)) for side in (self.first.points, points))
         spacing = max(self.spacings[0], scale * self.spacings[1])
         fine = max(extent / _FINE, _SPACINGS * spacing)
         coarse = max(extent / ACROSS, fine)
@@ -130,17 +130,6 @@ def _thinned(side: SurfacePoints) -> SurfacePoints:
 def _from(eye: Floats | None, middle: Floats, scale: float = 1.0) -> Floats | None:
     """Where the scanner is in the frame of the middle."""
     return None if eye is None else scale * eye - middle
-
-
-def _extent(points: Floats) -> float:
-    low, high = np.quantile(evenly_spread(points, 20_000), (0.02, 0.98), axis=0)
-    return float(np.linalg.norm(high - low))
-
-
-def _spacing(points: Floats) -> float:
-    some = evenly_spread(points, 3000)
-    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    return median(np.asarray(tree.query(some, 4)[0])[:, -1]) / 1.5
 
 
 def rescaled(sides: ScaledPair, factor: float) -> ScaledPair:

@@ -31,7 +31,7 @@ from calib.registration.surface_pair import (
     rescaled,
 )
 
-_ROUNDS, _FINAL_ROUNDS = 4, 12
+_FINAL_ROUNDS = 12
 _PIECE = 4.0  # coarse cells across what may have moved a little as a whole, so that its errors are equal
 
 
@@ -131,7 +131,7 @@ def _settled(sides: ScaledPair, place: Pose, sign: float, *, with_scale: bool) -
     """A hypothesis after the fine steps, and its evidence; None if nothing holds it."""
     fine, tolerance = sides.first.fine.cell, sides.tolerance
     factor = 1.0
-    for reach in (2 * fine + tolerance, fine + tolerance, tolerance, tolerance)[:_ROUNDS]:
+    for reach in (2 * fine + tolerance, fine + tolerance, tolerance, tolerance):
         fit = PairFit.at(sides, place, factor, sign, reach, sides.second.judged)
         if len(fit.residual) < 12:
             return None
@@ -152,7 +152,7 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool) -> SurfaceRegistr
     best = _finished(ordered[0], with_scale=with_scale)
     tolerance = best.sides.tolerance
     fit = PairFit.at(best.sides, best.place, 1.0, best.sign, tolerance, best.sides.second.fine.some(ALL_SAMPLES))
-    whole = replace(best.judged)
+    whole = best.judged
     if not holds(whole) or len(fit.residual) < 24:
         return SurfaceRegistration(Alignment.NONE, whole, (), (), np.zeros(3), unknown, np.nan, tolerance)
     centre = fit.points.mean(axis=0)

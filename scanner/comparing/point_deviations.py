@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from calib.numerics import Bools, Floats, Ints, evenly_spread
 from calib.registration import (
@@ -12,18 +11,21 @@ from calib.registration import (
     Region,
     SurfacePoints,
     SurfaceRegistration,
+    extent_of,
     find_regions,
     from_mesh,
     from_samples,
     inflated,
     local_noise,
     sample_surface,
+    spacing_of,
 )
 from scanner.comparing.surfaces import ComparedSurface, nearest_values
 
 _CELLS, _SPACINGS, _REFERENCE_SPACINGS = 160.0, 3.0, 2.0
 _REACH_TOLERANCES, _REACH_TOLERANCE = 20.0, 3.0  # of the alignment; of the one that was given
 _SIDES = 6
+_SAMPLE, _OUTSIDE = 20_000, 0.01  # points that tell the extent; share of them outside of it at either end
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +71,7 @@ def measure_deviations(
     pose, scale = found.best.pose, found.best.scale
     points = pose @ (scale * (second.points if not second.is_mesh else other.points))
     normals = other.normals if second.is_mesh else second.normals
-    spacing = _spacing(points)
+    spacing = spacing_of(points)
     are_oriented = normals is not None
     if normals is None:
         surface = sample_surface(points, None, _cell(points, spacing))
@@ -91,19 +93,13 @@ def measure_deviations(
     return PointDeviations(found, points, normals, deviations.distance, sigma, cells, of_cell, regions, reach)
 
 
-def extent_of(points: Floats) -> float:
-    """The diagonal of what holds nearly all points (N, 3)."""
-    low, high = np.quantile(evenly_spread(points, 20_000), (0.01, 0.99), axis=0)
-    return max(float(np.linalg.norm(high - low)), 1e-300)
-
-
-def _spacing(points: Floats) -> float:
-    apart = cKDTree(points).query(evenly_spread(points, 3000), 4)[0]
-    return float(np.median(np.asarray(apart)[:, -1])) / 1.5
+def box_diagonal(points: Floats) -> float:
+    """The diagonal of what holds nearly all points (N, 3); never 0."""
+    return max(extent_of(evenly_spread(points, _SAMPLE), _OUTSIDE), 1e-300)
 
 
 def _cell(points: Floats, spacing: float) -> float:
-    return max(extent_of(points) / _CELLS, _SPACINGS * spacing)
+    return max(box_diagonal(points) / _CELLS, _SPACINGS * spacing)
 
 
 def _noise(second: ComparedSurface, points: Floats, scale: float) -> Floats:
@@ -118,7 +114,7 @@ def _deviations(
 ) -> Deviations:
     if first.triangles is not None:
         return from_mesh(points, normals, first.points, first.triangles, reach)
-    cell = max(extent_of(one.points) / _CELLS, _REFERENCE_SPACINGS * _spacing(one.points))
+    cell = max(box_diagonal(one.points) / _CELLS, _REFERENCE_SPACINGS * spacing_of(one.points))
     samples = sample_surface(one.points, one.normals, cell, one.noise).on_surface()
     noise = local_noise(one.points, samples.points)
     return from_samples(points, normals, samples, noise, reach, are_oriented=are_oriented)

@@ -21,7 +21,7 @@ from calib.registration import (
     register_surfaces,
     solve_pose_graph,
 )
-from scanner.comparing.surfaces import ComparedSurface, read_compared
+from scanner.comparing.surfaces import NO_UNIT, ComparedSurface, read_compared
 from scanner.errors import InputError
 from scanner.io import write_scalar_ply
 from scanner.quantities import metres_per, plain, shown_unit
@@ -29,7 +29,6 @@ from scanner.rendering import FACE_COLOURS, PURPLE, VERMILION, YELLOW
 from scanner.results import Verdict
 
 REGISTER_FILE, REGISTERED_FILE = "register.json", "registered.ply"
-NO_UNIT = "units"
 _FORMAT = 1
 _COLOURS = (*FACE_COLOURS, PURPLE, VERMILION, YELLOW)
 _WORDS = {
@@ -150,11 +149,12 @@ def _graph(pairs: Sequence[RegisteredPair], middles: Sequence[Floats], count: in
             about = to.inverse() @ found.best.pose @ of
             centre = found.centre - middles[pair.first]
             edges.append(PairPose(pair.first, pair.second, about, centre, found.covariance, found.tolerance))
-    graphs = [solve_pose_graph(edges, root) for root in range(count)]
-    graph = max(graphs, key=lambda each: len(each.places))
-    root = min(graph.places)
-    graph = graphs[root]
-    start = Pose(np.eye(3), middles[root])
+    graphs: list[PoseGraph] = []
+    for root in range(count):
+        if not any(root in graph.places for graph in graphs):
+            graphs.append(solve_pose_graph(edges, root))
+    graph = max(graphs, key=lambda graph: len(graph.places))
+    start = Pose(np.eye(3), middles[min(graph.places)])
     places = {k: start @ place @ Pose(np.eye(3), -middles[k]) for k, place in graph.places.items()}
     by_twist = np.kron(np.eye(len(places)), start.adjoint)
     covariance = by_twist @ graph.covariance @ by_twist.T

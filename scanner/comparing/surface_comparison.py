@@ -22,12 +22,11 @@ from calib.registration import (
     register_surfaces,
     sample_surface,
 )
-from scanner.comparing.point_deviations import PointDeviations, extent_of, measure_deviations
-from scanner.comparing.surfaces import ComparedSurface, read_compared
+from scanner.comparing.point_deviations import PointDeviations, box_diagonal, measure_deviations
+from scanner.comparing.surfaces import NO_UNIT, ComparedSurface, read_compared
 from scanner.errors import InputError
 from scanner.quantities import METRES, UNKNOWN_UNIT, metres_per, parse_length, unit_name
 
-_NO_UNIT = "units"
 _UNITS = ("mm", "m", "cm", "in", "um", "ft")  # that files without a unit may be in
 _OFTEN = ("mm", "m")  # the same where neither file states one
 _LEAST_RATIO, _MOST_RATIO = 0.15, 1.6  # plausible extents of a result, relative to the reference's
@@ -176,7 +175,7 @@ def _tolerance(text: str, unit: str) -> float:
     try:
         return parse_length(text, unit)
     except InputError as error:
-        hint = "; neither file states its unit: give the reference's, as in --unit mm" if unit == _NO_UNIT else ""
+        hint = "; neither file states its unit: give the reference's, as in --unit mm" if unit == NO_UNIT else ""
         raise InputError(f"--tolerance: {error}{hint}") from error
 
 
@@ -185,7 +184,7 @@ def _scales(
 ) -> list[tuple[float, str | None]]:
     """Factors of the second one's lengths to try, each with the unit of the first one's, if that is open."""
     known = stated not in (None, UNKNOWN_UNIT) and second.has_length
-    ratio = extent_of(first.points) / extent_of(second.points)
+    ratio = box_diagonal(first.points) / box_diagonal(second.points)
     if UNKNOWN_UNIT in (stated, second.unit) or (scale_free and not known):
         steps = range(-_SCALE_STEPS, _SCALE_STEPS + 1)
         return [(ratio * _SCALE_STEP**k, None) for k in steps]
@@ -223,12 +222,12 @@ def _unit_of(
             return stated, f"{second.name} was enlarged {found.best.scale:.6g} times, as fits best."
         return stated, None
     if found.best is None:
-        return _NO_UNIT, None
+        return NO_UNIT, None
     nearest = min(scales, key=lambda each: abs(np.log(each[0] / found.best.scale)))  # type: ignore[union-attr]
     if with_scale:
-        return _NO_UNIT, f"{second.name} was enlarged {found.best.scale:.6g} times, as fits best."
+        return NO_UNIT, f"{second.name} was enlarged {found.best.scale:.6g} times, as fits best."
     if nearest[1] is None:
-        return str(second.unit or _NO_UNIT), None
+        return str(second.unit or NO_UNIT), None
     return nearest[1], f"{first.name} does not state its unit: in {unit_name(nearest[1])} it fits."
 
 

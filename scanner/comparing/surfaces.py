@@ -19,6 +19,7 @@ from scanner.measuring import rig_errors
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.results import CALIBRATION_FILE, FinishedScan, read_calibration_of, read_uncertainty
 
+NO_UNIT = "units"  # where no file says which
 _OF_MESH = 200_000  # points
 _EFFECTS = 1500  # points at which the calibration's errors are known
 _AT_ONCE = 100_000
