@@ -8,6 +8,7 @@ from calib.scene.calibrate import (
     calibrate_scene,
     recalibrate_scene,
 )
+from calib.scene.drift import DRIFTED, drift_findings
 from calib.scene.given_calibration import CALIBRATION_CHANGED, LineTest, compare_with_lines, find_change
 from calib.scene.next_station import NextStation
 from calib.scene.problem import FEWEST_STATIONS

@@ -18,7 +18,7 @@ from calib.geometry import Pose, depths_of_rays
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Bools, Floats, Floats32, Ints, at_random
 from calib.refinement import State
-from calib.scene.bundle import ANYWHERE_PX, CHOSEN_PX, NOTHING_OBSERVED, RigidScene, SceneObservations
+from calib.scene.rigid_scene import ANYWHERE_PX, CHOSEN_PX, NOTHING_OBSERVED, RigidScene, SceneObservations
 from calib.scene.views import WINDOW_PIXELS, Lifted, MatchedView, lift, monomials, quadratic_maps
 
 _CORNERS, _QUALITY, _APART_PX = 200, 0.003, 6.0  # of a picture: how many, least share of the best, distance

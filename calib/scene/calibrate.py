@@ -20,10 +20,11 @@ from calib.refinement import (
     intrinsic_distance,
 )
 from calib.refusal import RefusalError
-from calib.scene.bundle import NOTHING_OBSERVED, RigidScene, SceneFit
+from calib.scene.bundle import SceneFit
 from calib.scene.covariance import covariance_of_rig
 from calib.scene.next_station import NextStation, best_next_station
-from calib.scene.problem import FEWEST_POINTS, FEWEST_STATIONS, SceneProblem, sharpened
+from calib.scene.problem import FEWEST_POINTS, FEWEST_STATIONS, MATCHES, SceneProblem, sharpened
+from calib.scene.rigid_scene import NOTHING_OBSERVED, RigidScene
 from calib.scene.start import SceneStart, starts_of, with_motions
 from calib.scene.tracks import observe, placed_stations
 from calib.scene.views import MatchedView, SceneView, matched_pairs, some_matches, views_of, with_keypoints
@@ -31,7 +32,6 @@ from calib.self_calibration import PrincipalPoint
 
 _TRIALS = 3  # distinct starts that are followed
 _SAME_FOCAL = 0.1  # relative difference below which two trials are one
-_MATCHES = 3600  # of all stations, beside keypoints
 _FOLLOWED = 2  # times that a better rig tells which keypoints agree
 _ONE_AXIS_DEG = 3.0  # rotations that turn by less about all other axes leave a coordinate open
 _MOST_FOCAL = 0.015  # relative sigma of a focal length
@@ -205,7 +205,7 @@ def recalibrate_scene(
     begun = SceneProblem(
         scene,
         NOTHING_OBSERVED,
-        some_matches([view.matches for view in views], _MATCHES // len(views)),
+        some_matches([view.matches for view in views], MATCHES // len(views)),
         knowledge.prior(rig),
     )
     sharp = sharpened(begun, scene, views)
@@ -234,7 +234,7 @@ def _concluded(
 ) -> SceneCalibration:
     rig, covariance = fit.scene.rig, covariance_of_rig(problem, fit)
     calibration = calibration_of(rig, *sizes, sigmas_of(rig, covariance))
-    uncertainty = Uncertainty(rig, covariance, None, problem.spread.matches * _usual(problem.matches))
+    uncertainty = Uncertainty(rig, covariance, None, problem.spread.matches * _usual(problem.matches.matches))
     return SceneCalibration(calibration, uncertainty, stations, problem, fit)
 
 
@@ -301,7 +301,7 @@ def _problem(
     observations, points = observe(moving, views, pairs, places)
     if len(points) < FEWEST_POINTS:
         return None
-    matches = some_matches([views[k].matches for k in places], _MATCHES // len(places))
+    matches = some_matches([views[k].matches for k in places], MATCHES // len(places))
     scene = RigidScene(start.rig, tuple(places.values()), points)
     return SceneProblem(scene, observations, matches, knowledge.prior(start.rig)), tuple(places)
 

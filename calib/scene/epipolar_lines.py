@@ -7,11 +7,10 @@ import numpy as np
 from calib.geometry import Calibration, Intrinsics, Matches
 from calib.numerics import Floats, Ints, clustered_scatter, huber_loss, huber_weights, robust_sigma
 from calib.refinement import SHARED, State, device_of
-from calib.scene.bundle import HUBER_SIGMAS, ErrorScales, missed
+from calib.scene.residuals import HUBER_SIGMAS, missed
 
 _STEPS, _CONVERGED = 12, 1e-3  # sigmas
 _HALVINGS = 6  # of a step that makes it worse
-_AS_STATED = ErrorScales(1.0, 1.0, 1.0)
 _BLOCK_PX = 32.0  # of the camera: decoders' errors are smooth
 # Standard deviations of what lines do not tell, about the given rig: wide for any change of the same devices.
 _OF_DEVICE = (0.2, 60.0, 60.0, 0.02, 0.05, 1e-3, 1e-3, 1e-3)
@@ -41,7 +40,7 @@ def rig_by_lines(given: State, matches: Matches) -> RigByLines:
     sigma = np.ones(len(matches)) if matches.sigma_px is None else matches.sigma_px
     precision = _LOOSE**-2.0
     rig, moved = given, np.zeros(SHARED)
-    miss, by_shared = missed(rig, matches, _AS_STATED)
+    miss, by_shared, _ = missed(rig, matches, 1.0)
     scales = [max(robust_sigma(miss), 1e-3)]
     for _ in range(_STEPS):
         scale = scales[-1]
@@ -50,7 +49,7 @@ def rig_by_lines(given: State, matches: Matches) -> RigByLines:
         step = -_solved(normal, by_shared.T @ (weight * miss) / scale**2 + precision * moved)
         cost = _cost(miss, scale, moved)
         for _ in range(_HALVINGS):
-            next_miss, next_by_shared = missed(rig.moved(step), matches, _AS_STATED)
+            next_miss, next_by_shared, _ = missed(rig.moved(step), matches, 1.0)
             if _cost(next_miss, scale, moved + step) < cost:
                 break
             step /= 2
@@ -66,7 +65,7 @@ def rig_by_lines(given: State, matches: Matches) -> RigByLines:
     # The valley of what lines do not tell is curved: how far the given rig is off is judged by the slope at it.
     scatter = clustered_scatter((weight * miss)[:, None] * by_shared, _blocks(matches.camera_px)) + np.diag(precision)
     scatter -= normal
-    miss, by_shared = missed(given, matches, _AS_STATED.times(scales[-1]))
+    miss, by_shared, _ = missed(given, matches, scales[-1])
     normal = (by_shared * weight[:, None]).T @ by_shared + np.diag(precision)
     scatter += normal
     step = -_solved(normal, by_shared.T @ (weight * miss))

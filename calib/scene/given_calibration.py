@@ -58,7 +58,7 @@ def compare_with_lines(
     calibration: Calibration, stated: Uncertainty | None, captures: Sequence[Matches], count: int
 ) -> LineTest:
     """The test by at most `count` matches, both of whose coordinates were measured."""
-    given, matches = in_square_pixels(calibration, some_matches(captures, count // len(captures)))
+    given, matches = in_square_pixels(calibration, some_matches(captures, count // len(captures)).matches)
     covariance = np.zeros((SHARED, SHARED)) if stated is None else stated.covariance
     lines = rig_by_lines(given, matches)
     precision = lines.information @ np.linalg.inv(np.eye(SHARED) + covariance @ lines.information)

@@ -14,8 +14,9 @@ from calib.geometry import radial_distortion as lens
 from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR
 from calib.scene.alignment import is_recognisable, surface_at
-from calib.scene.bundle import ANYWHERE_PX, RigidScene, SceneFit, SceneObservations, evaluate
+from calib.scene.bundle import SceneFit, evaluate
 from calib.scene.problem import FEWEST_POINTS, SceneProblem
+from calib.scene.rigid_scene import ANYWHERE_PX, SceneObservations
 
 TURN_DEG = 20.0
 _INTRINSIC = np.array([CAMERA.start + k for k in range(3)] + [PROJECTOR.start + k for k in range(3)])
@@ -44,7 +45,7 @@ def best_next_station(problem: SceneProblem, fit: SceneFit, covariance: Floats) 
     """
     best, least = None, np.inf
     focal = [CAMERA.start, PROJECTOR.start]
-    larger = np.sqrt(np.diag(covariance)[focal] / np.diag(problem.inverted(fit.information))[focal])
+    larger = np.sqrt(np.diag(covariance)[focal] / np.diag(problem.inverted(fit))[focal])
     scene, newest = fit.scene, fit.scene.stations[-1]
     middle = np.median(newest @ scene.points, axis=0)
     for axis in range(3):
@@ -54,9 +55,8 @@ def best_next_station(problem: SceneProblem, fit: SceneFit, covariance: Floats) 
             seen = _predicted(problem, fit, turned)
             if np.count_nonzero(seen.station == len(scene.stations)) < FEWEST_POINTS:
                 continue
-            further = RigidScene(scene.rig, (*scene.stations, turned), scene.points)
-            predicted = evaluate(further, seen, problem.matches, problem.spread, problem.prior)
-            after = problem.inverted(predicted.information)
+            predicted = evaluate(scene.with_station(turned), seen, problem.matches, problem.spread, problem.prior)
+            after = problem.inverted(predicted)
             spread = float(np.linalg.slogdet(after[np.ix_(_INTRINSIC, _INTRINSIC)])[1])
             if spread < least:
                 camera, projector = (larger * np.sqrt(np.diag(after)[focal])).tolist()
@@ -66,7 +66,7 @@ def best_next_station(problem: SceneProblem, fit: SceneFit, covariance: Floats) 
 
 def _predicted(problem: SceneProblem, fit: SceneFit, turned: Pose) -> SceneObservations:
     """All observations, and those of a further station at which `turned` puts the scene, X_station = R X_first + t."""
-    known, scene = problem.observations, fit.scene
+    known, matches, scene = problem.observations, problem.matches.matches, fit.scene
     first = np.flatnonzero(np.diff(known.point, prepend=-1))
     own = known[first]
     places = turned @ scene.points[own.point]
@@ -79,7 +79,7 @@ def _predicted(problem: SceneProblem, fit: SceneFit, turned: Pose) -> SceneObser
     projector_px, by_lit, _ = lens.project(scene.rig.projector, scene.rig.pose @ safe)
     warp, lit = by_place @ tangents, by_lit @ scene.rig.pose.rotation @ tangents
     visible = ahead & is_recognisable(warp)
-    for pixels, used in ((camera_px, problem.matches.camera_px), (projector_px, problem.matches.projector_px)):
+    for pixels, used in ((camera_px, matches.camera_px), (projector_px, matches.projector_px)):
         visible &= ((pixels > used.min(axis=0)) & (pixels < used.max(axis=0))).all(axis=1)
     slope = lit[visible] @ np.linalg.inv(warp[visible])
     located = own.is_located[visible]

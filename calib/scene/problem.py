@@ -5,22 +5,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import Matches
-from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, robust_sigma
-from calib.refinement import SHARED, Prior
+from calib.numerics import MEDIAN_LENGTH, Bools, Floats, robust_sigma
+from calib.refinement import Prior
 from calib.scene.alignment import align
-from calib.scene.bundle import (
-    CONVERGED,
-    ErrorScales,
-    RigidScene,
-    SceneFit,
-    SceneObservations,
-    adjust,
-    residuals_of,
-)
-from calib.scene.views import MatchedView
+from calib.scene.bundle import CONVERGED, SceneFit, adjust
+from calib.scene.drift import measure_drift
+from calib.scene.residuals import residuals_of
+from calib.scene.rigid_scene import ErrorScales, RigidScene, SceneObservations, StationMatches
+from calib.scene.views import MatchedView, some_matches
 
 FEWEST_STATIONS, FEWEST_POINTS = 3, 20
+MATCHES = 3600  # of all stations, beside points that they share
 _ANNEALING, _STEPS = (20.0, 5.0, 1.0), 20  # factors on the first guess of the spread, steps with each
 _GUESS = ErrorScales(0.5, 1.0, 1.0)
 _SHARPENED = _ANNEALING, (1.0,)  # each time that pictures and surfaces are aligned
@@ -39,7 +34,7 @@ class SceneProblem:
     """Where the adjustment begins."""
     observations: SceneObservations
     """Of points of the scene."""
-    matches: Matches
+    matches: StationMatches
     """Others, which must lie on their epipolar lines."""
     prior: Prior
     """Of the rig."""
@@ -62,8 +57,11 @@ class SceneProblem:
             scene = fit.scene
         return fit
 
-    def refined(self, fit: SceneFit) -> "tuple[SceneProblem, SceneFit]":
-        """The problem without outliers and with the spread that residuals show, and its solution."""
+    def refined(self, fit: SceneFit, *, drifting: bool = False) -> "tuple[SceneProblem, SceneFit]":
+        """The problem without outliers and with the spread that residuals show, and its solution.
+
+        `drifting`: shifts of projector pictures are estimated where residuals show some.
+        """
         problem = self
         for number in range(1, _ROUNDS + 1):
             growth, of_matches = problem._growth(fit), robust_sigma(fit.miss)
@@ -72,20 +70,28 @@ class SceneProblem:
             problem, scene = problem._of(within, fit.scene)
             if not len(scene.points):
                 return problem, replace(fit, scene=scene)
+            if drifting:
+                problem, scene = problem._with_drift(scene)
             converged = CONVERGED if number == _ROUNDS else _ROUGHLY
             fit = adjust(
                 scene, problem.observations, problem.matches, problem.spread, problem.prior, converged=converged
             )
         return problem, fit
 
-    def inverted(self, information: Floats) -> Floats:
-        """The covariance (size, size) by an information (size, size); zero where a column is held."""
-        free = self.free_columns(len(information))
+    def inverted(self, fit: SceneFit) -> Floats:
+        """The covariance (size, size) by a fit's information; zero where a column is held."""
+        information, free = fit.information, fit.scene.columns.free(self.prior)
         scale = np.sqrt(np.diag(information)[free])
         inverse = np.linalg.pinv(information[np.ix_(free, free)] / np.outer(scale, scale), hermitian=True)
         covariance = np.zeros_like(information)
         covariance[np.ix_(free, free)] = inverse / np.outer(scale, scale)
         return covariance
+
+    def _with_drift(self, scene: RigidScene) -> "tuple[SceneProblem, RigidScene]":
+        """The problem and a scene near its solution with shifts of projector pictures, if there are any."""
+        drift_px = measure_drift(scene, self.observations, self.matches, self.spread, self.prior)
+        changed = replace(self, spread=replace(self.spread, drift_px=drift_px))
+        return changed, scene.with_shifts() if drift_px > 0 else replace(scene, shift_px=None)
 
     def _growth(self, fit: SceneFit) -> Floats:
         """Sigmas (2,) of keypoints and of their projector pixels in the units of a fit's residuals.
@@ -98,10 +104,6 @@ class SceneProblem:
         medians = np.array([np.median(length[located, 0]), np.median(length[:, 1])])
         growth: Floats = np.maximum(medians / MEDIAN_LENGTH, 0.1)
         return growth
-
-    def free_columns(self, size: int) -> Ints:
-        """Those (F,) of a scene's columns that are estimated."""
-        return np.concatenate([np.flatnonzero(self.prior.free[:SHARED]), np.arange(SHARED, size)])
 
     def _of(self, kept: Bools, scene: RigidScene) -> "tuple[SceneProblem, RigidScene]":
         """The problem of some observations, and the scene of the points that two of them share."""
@@ -134,7 +136,7 @@ def sharpened(
     little is shared.
     """
     members = tuple(range(len(views)))
-    solution = None
+    solution, drift_px = None, 0.0
     for factors in _SHARPENED[:1] if roughly else _SHARPENED:
         while True:
             observations, points = align(scene, [views[k] for k in members])
@@ -144,9 +146,11 @@ def sharpened(
                 problem,
                 start=replace(scene, points=points),
                 observations=observations,
-                spread=ErrorScales(1.0, 1.0, problem.spread.matches),
+                matches=some_matches([views[k].matches for k in members], MATCHES // len(members)),
+                spread=ErrorScales(1.0, 1.0, problem.spread.matches, drift_px),
             )
-            sharper, sharp = sharper.refined(sharper.solve(factors))
+            sharper, sharp = sharper.refined(sharper.solve(factors), drifting=True)
+            drift_px = sharper.spread.drift_px
             if len(sharp.scene.points) < FEWEST_POINTS:
                 return solution
             fitting = _fitting(observations, sharper.observations, len(members))

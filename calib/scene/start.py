@@ -64,7 +64,7 @@ def starts_of(
     if projector_centre_px is not None:
         centres = [projector_centre_px]
     trials = []
-    sample = some_matches([view.matches for view in views], 100)
+    sample = some_matches([view.matches for view in views], 100).matches
     for camera_focal in _FOCALS * width:
         for projector_focal in _FOCALS * wide:
             for centre in centres:
@@ -84,7 +84,7 @@ def with_motions(
 
 
 def _fundamental(views: Sequence[SceneView]) -> Floats | None:
-    matches = some_matches([view.matches for view in views], _MATCHES)
+    matches = some_matches([view.matches for view in views], _MATCHES).matches
     if len(matches) < 50:
         return None
     cv2.setRNGSeed(0)

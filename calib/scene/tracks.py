@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Bools, Floats, Ints
-from calib.scene.bundle import SceneObservations
+from calib.scene.rigid_scene import SceneObservations
 from calib.scene.start import SceneStart, triangulated
 from calib.scene.views import SceneView
 

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from calib.geometry import Matches, Size
 from calib.numerics import Bools, Floats, Image, Ints, at_random
 from calib.registration import for_hellinger, log_brightness, mutual_matches, sift
+from calib.scene.rigid_scene import StationMatches
 
 _MOST = 800  # keypoints of a picture as it looks from one side
 _TILTS, _TURN_DEG = 2, 72.0  # simulated views: slants up to 60°, turned by 72° over each tilt
@@ -123,15 +124,16 @@ def matched_pairs(views: Sequence[SceneView]) -> dict[tuple[int, int], tuple[Int
     return pairs
 
 
-def some_matches(captures: Sequence[Matches], count: int) -> Matches:
-    """At most `count` matches of each capture at random, with sigmas: 1 where none are stated."""
+def some_matches(captures: Sequence[Matches], count: int) -> StationMatches:
+    """At most `count` matches of each station's at random, with sigmas: 1 where none are stated."""
     chosen = [matches[at_random(len(matches), count)] for matches in captures]
-    return Matches(
+    matches = Matches(
         np.concatenate([matches.camera_px for matches in chosen]),
         np.concatenate([matches.projector_px for matches in chosen]),
         None,
         np.concatenate([_sigma(matches) for matches in chosen]),
     )
+    return StationMatches(matches, np.repeat(np.arange(len(chosen)), [len(matches) for matches in chosen]))
 
 
 def _sigma(matches: Matches) -> Floats:

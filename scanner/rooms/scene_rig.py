@@ -7,7 +7,7 @@ from dataclasses import replace
 from calib.finding import Finding, FindingKind, Severity, of_kinds
 from calib.geometry import Calibration, Pose
 from calib.refusal import RefusalError
-from calib.scene import BY_SCENE, SceneCalibration, calibrate_scene, recalibrate_scene
+from calib.scene import BY_SCENE, SceneCalibration, calibrate_scene, drift_findings, recalibrate_scene
 from scanner.configuration import Config
 from scanner.quantities import relative_focal_sigmas
 from scanner.reconstruction import lenses_of
@@ -76,7 +76,7 @@ def calibrate_by_pictures(
 def start_of(scene: SceneCalibration) -> RigStart:
     """The rig of a calibration by what stations share."""
     places = {k: pose.inverse() for k, pose in zip(scene.stations, scene.poses, strict=True)}
-    return RigStart(scene.calibration, scene.uncertainty, {}, findings=(finding_on(scene),), places=places)
+    return RigStart(scene.calibration, scene.uncertainty, {}, findings=findings_on(scene), places=places)
 
 
 def rig_from_placed(
@@ -109,12 +109,12 @@ def weakness_of(calibration: Calibration, findings: Sequence[Finding]) -> str | 
     return f"the rig's focal lengths, which the stations calibrate, are only known to ± {100 * worst:.2g} %."
 
 
-def finding_on(solved: SceneCalibration) -> Finding:
-    """What the calibration was made from, and how sure it is."""
+def findings_on(solved: SceneCalibration) -> tuple[Finding, ...]:
+    """What the calibration was made from, and how sure it is; and a drift of the projector's picture."""
     sigma = solved.calibration.sigma
     devices = (sigma.camera, solved.calibration.camera), (sigma.projector, solved.calibration.projector)
     percents = [100 * own.focal_px[0] / device.focal_px[0] for own, device in devices if own.focal_px is not None]
-    return Finding(
+    by_scene = Finding(
         BY_SCENE,
         Severity.NOTE,
         f"Calibrated without a corner, by {solved.points} points that {len(solved.stations)} stations share: focal "
@@ -126,3 +126,4 @@ def finding_on(solved: SceneCalibration) -> Finding:
             "projector_focal_percent": percents[1],
         },
     )
+    return (by_scene, *drift_findings(solved.problem.spread.drift_px))
