@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from calib.geometry import Pose
 from calib.numerics import Bools
 from calib.objects.joint import NARROW
-from calib.objects.patch_overlap import THROUGH_FREE_SPACE, overlapping_pixels_of_points
+from calib.objects.patch_overlap import overlapping_pixels
 from calib.objects.view import ObjectView, without_small_pieces
+from calib.registration import THROUGH_FREE_SPACE, Patches
 
 _FEWEST = 4  # number of views from which a point must be seen by another view as well
 
@@ -29,17 +30,17 @@ def confirmed(views: Sequence[ObjectView], places: Sequence[Pose]) -> list[Confi
     """For each view; `places`: X_common = R X_view + t."""
     found = []
     for k, (view, place) in enumerate(zip(views, places, strict=True)):
-        there = np.isfinite(view.points[..., 2])
-        points, normals = (each[there].astype(np.float64) for each in (view.points, view.normals))
-        seen, through = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
-        total = np.zeros(len(points))
+        there = np.isfinite(view.image.points[..., 2])
+        patches = Patches(*(values[there].astype(np.float64) for values in view.image[:2]))
+        seen, through = np.zeros((2, len(patches.points)), np.int64)
+        total = np.zeros(len(patches.points))
         for other, (seen_by, at) in enumerate(zip(views, places, strict=True)):
             if other != k:
                 to_other = at.inverse() @ place
-                overlap = overlapping_pixels_of_points(points, normals, seen_by, to_other, NARROW * view.grain)
+                overlap = overlapping_pixels(patches, seen_by, to_other, NARROW * view.grain)
                 met = np.flatnonzero(overlap >= 0)
-                moved = to_other @ points[met]
-                theirs, towards = (each.reshape(-1, 3)[overlap[met]] for each in (seen_by.points, seen_by.normals))
+                moved = to_other @ patches.points[met]
+                theirs, towards = (values.reshape(-1, 3)[overlap[met]] for values in seen_by.image[:2])
                 total[met] += np.sum(towards * (moved - theirs), axis=1)
                 seen[met] += 1
                 through += overlap == THROUGH_FREE_SPACE

@@ -86,7 +86,7 @@ def estimate_jointly(views: Sequence[ObjectView], places: Sequence[Pose]) -> Joi
     found = _together(views, now, pairs, NARROW)
     middle = views[0].middle
     total = {(each.first, each.second): each for each in found}
-    counts = {pair: len(views[pair[0]].patches) + len(views[pair[1]].patches) for pair in total}
+    counts = {pair: len(views[pair[0]].pixel) + len(views[pair[1]].pixel) for pair in total}
     return JointEstimate(
         tuple(now),
         *_covariance(found, len(views), middle),
@@ -121,11 +121,11 @@ def residuals_of(
     pose = here.inverse() @ there
     parts = []
     for patches_of, seen_by, to_seen, back in ((second, first, pose, 1.0), (first, second, pose.inverse(), -1.0)):
-        pixel = overlapping_pixels(patches_of, seen_by, to_seen, within, count)
+        pixel = overlapping_pixels(patches_of.patches.first(count), seen_by, to_seen, within)
         met = np.flatnonzero(pixel >= 0)
         # Half a pixel is a long way along an oblique surface; normals at the rim have a common bias.
         met = met[(seen_by.facing(pixel[met]) > STEEPEST) & seen_by.inner[pixel[met]]]
-        own, other = patches_of.patches[met], pixel[met]
+        own, other = patches_of.pixel[met], pixel[met]
         parts.append((own, other) if back > 0 else (other, own))
     on_second, on_first = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
     if len(on_first) < (_FEWEST if count is None else _FEWEST // 4):
@@ -144,7 +144,7 @@ def residuals_of(
 
 
 def _carried(view: ObjectView, place: Pose, flat: Ints) -> tuple[Floats, Floats]:
-    points, normals = (values.reshape(-1, 3)[flat].astype(np.float64) for values in (view.points, view.normals))
+    points, normals = (values.reshape(-1, 3)[flat].astype(np.float64) for values in view.image[:2])
     return place @ points, place.rotate(normals)
 
 

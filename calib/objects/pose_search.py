@@ -10,14 +10,13 @@ spatial compatibility for efficient and robust point cloud registration", 2022).
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.geometry import IDENTITY, Pose
-from calib.numerics import Bools, Floats, compiled, distinct
+from calib.numerics import Bools, Floats, distinct
 from calib.objects.joint import WIDE, align
 from calib.objects.patch_overlap import mark_pairs
 from calib.objects.view import ObjectView
-from calib.registration import add_pair, even_rotations, fit_rigid_motion, pixel_under, rotate_vector, step_pose
+from calib.registration import Gates, descend, even_rotations, fit_rigid_motion
 
 _TURNS = 1200  # rotations; any rotation is about 17° from the nearest one
 # Numbers of patches, and distances in grains within which they match: for all descents, and for the best.
@@ -26,8 +25,7 @@ _CLOSELY, _CLOSE = 500, np.array([2.0, 1.5, 1.5, 1.0, 1.0, 0.7, 0.5, 0.5])
 _DISTINCT = 60
 THOROUGHLY = 600  # distinct descents that are refined if the best few leave a view out
 _SAME_TURN, _SAME_GRAINS = np.radians(6.0), 8.0
-_LIKE = float(np.cos(np.radians(50.0)))
-_DAMPING = 1e-3
+_GATES = Gates(False, 3.0, float(np.cos(np.radians(50.0))), beyond=1.0, free=0.0, off=0.0, shows_backs=False)
 _TOWARDS_MIDDLE = 0.1  # share of a patch's weight by which a centre is drawn to a point behind the visible surface
 _BEHIND = 20.0  # grains
 
@@ -46,20 +44,10 @@ def searched_poses(first: ObjectView, second: ObjectView, most: int, followed: i
 
 def _descended(first: ObjectView, second: ObjectView, starts: Pose, patches: int, rounds: Floats) -> Pose:
     """The poses (K,) after the descents, best first."""
-    poses, worth = Pose(starts.rotation.copy(), starts.translation.copy()), np.zeros(len(starts.translation))
-    _descend(
-        poses.rotation,
-        poses.translation,
-        second.patch_points[:patches],
-        second.patch_normals[:patches],
-        first.lens,
-        first.points,
-        first.normals,
-        first.near,
-        normal_centre(first),
-        first.grain * rounds,
-        worth,
-    )
+    # What is not known to be behind a patch counts as free: a pose that puts the thing there is no better for it.
+    image = first.image._replace(depth=first.image.near)
+    some = second.patches.first(patches)
+    poses, worth = descend(image, some, starts, _GATES, first.grain * rounds, normal_centre(first))
     return poses[np.argsort(-worth)]
 
 
@@ -75,58 +63,12 @@ def are_about_the_same(poses: Pose, reference: Pose, grain: float) -> Bools:
 
 def normal_centre(view: ObjectView) -> Floats:
     """The point (3,) that the lines along all patches' normals come closest to: the middle, if the thing is round."""
-    across = np.eye(3) - view.patch_normals[:, :, None] * view.patch_normals[:, None]
-    middle = view.patch_points.mean(axis=0)
+    across = np.eye(3) - view.patches.normals[:, :, None] * view.patches.normals[:, None]
+    middle = view.patches.points.mean(axis=0)
     behind = middle * (1 + _BEHIND * view.grain / float(np.linalg.norm(middle)))
     drawn = _TOWARDS_MIDDLE * len(across)
-    pull = np.einsum("nij,nj->i", across, view.patch_points) + drawn * behind
+    pull = np.einsum("nij,nj->i", across, view.patches.points) + drawn * behind
     return np.linalg.solve(across.sum(axis=0) + drawn * np.eye(3), pull)
-
-
-@compiled
-def _descend(
-    turns: Floats,
-    shifts: Floats,
-    patches: Floats,
-    patch_normals: Floats,
-    lens: Floats,
-    points: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    near: NDArray[np.float32],
-    centre: Floats,
-    withins: Floats,
-    worth: Floats,
-) -> None:
-    """Move all poses (K, 3, 3), (K, 3) point to plane; `worth` (K,): matching patches minus free space violations."""
-    height, width = near.shape
-    for k in range(len(turns)):
-        r, t = turns[k], shifts[k]
-        for within in withins:
-            matrix, gradient = np.zeros((6, 6)), np.zeros(6)
-            worth[k] = 0.0
-            for m in range(len(patches)):
-                x, y, z = rotate_vector(r, patches[m])
-                x, y, z = x + t[0], y + t[1], z + t[2]
-                e, f, g = rotate_vector(r, patch_normals[m])
-                if e * x + f * y + g * z >= 0:
-                    continue
-                i, j = pixel_under(x, y, z, lens, height, width)
-                if i < 0:
-                    continue
-                p, q, s = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
-                off = p * (x - points[i, j, 0]) + q * (y - points[i, j, 1]) + s * (z - points[i, j, 2])
-                if not (np.abs(off) < within and np.abs(z - points[i, j, 2]) < 3 * within):
-                    if z < near[i, j] - within:
-                        worth[k] -= 1.0
-                    continue
-                if p * e + q * f + s * g < _LIKE:
-                    continue
-                share = 1 - (off / within) ** 2
-                worth[k] += share
-                arm = x - centre[0], y - centre[1], z - centre[2]
-                add_pair(matrix, gradient, arm, (p, q, s), off, share * share)
-            if not step_pose(matrix, gradient, _DAMPING, centre, r, t):
-                break
 
 
 _SEARCHED = 8

@@ -117,7 +117,7 @@ def register_views(views: Sequence[ObjectView | None], near: Mapping[int, Pose] 
 def _unplaced(
     k: int, views: Mapping[int, ObjectView], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
 ) -> UnregisteredStation:
-    pixels = int(np.count_nonzero(np.isfinite(views[k].points[..., 2])))
+    pixels = int(np.count_nonzero(np.isfinite(views[k].image.points[..., 2])))
     if pixels < PATCHES:
         message = f"only {pixels} of its pixels measure the thing"
         return UnregisteredStation(k, Finding(TOO_SMALL, Severity.WARNING, message, data={"pixels": float(pixels)}))

@@ -11,6 +11,8 @@ from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats, Image, Ints
 from calib.registration import (
     Keypoints,
+    Patches,
+    RangeImage,
     describe_keypoints,
     log_brightness,
     no_keypoints,
@@ -31,54 +33,39 @@ _OF_SIZE = 1 / 60  # the grain over the size: spacing of points for features and
 
 @dataclass(frozen=True, eq=False)
 class ObjectView:
-    """`points`, `normals` (H, W, 3) of the thing in the camera's frame, NaN elsewhere; `depth` (H, W): how far the
-    camera saw at all, the background included, 0 where nothing is known; `near` (H, W): the least around each pixel.
+    """A thing by itself, before what else its camera saw."""
 
-    `patches`: pixels as flat indices, in random order, drawn evenly over the surface. `noise`: standard deviation of a
-    point along its ray at depth z is `noise` · z². `grain`: in the unit of the points. `keypoints`: none without
-    a picture.
-    """
-
-    points: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    depth: NDArray[np.float32]
-    near: NDArray[np.float32]
+    image: RangeImage
+    """Points and normals of the thing; depths of the background as well."""
     camera: Intrinsics
-    patches: Ints
+    pixel: Ints
+    """(M,): flat indices of the patches, in random order, drawn evenly over the surface."""
     noise: float
+    """Standard deviation of a point along its ray, over the squared depth."""
     grain: float
+    """Spacing of points that a coarse alignment needs, in their unit."""
     keypoints: Keypoints
+    """None without a picture."""
 
     @cached_property
-    def lens(self) -> Floats:
-        """Of the camera (9,), as `calib.registration.range_view` reads it."""
-        camera = self.camera
-        return np.array([*camera.focal_px, *camera.principal_point_px, *camera.distortion], np.float64)
-
-    @cached_property
-    def patch_points(self) -> Floats:
-        """(M, 3)."""
-        return self.points.reshape(-1, 3)[self.patches].astype(np.float64)
-
-    @cached_property
-    def patch_normals(self) -> Floats:
-        """(M, 3)."""
-        return self.normals.reshape(-1, 3)[self.patches].astype(np.float64)
+    def patches(self) -> Patches:
+        """M of them."""
+        return Patches(*(values.reshape(-1, 3)[self.pixel].astype(np.float64) for values in self.image[:2]))
 
     @property
     def middle(self) -> Floats:
         """Of the patches, (3,)."""
-        return np.median(self.patch_points, axis=0)
+        return np.median(self.patches.points, axis=0)
 
     def pixels(self, flat: Ints) -> Floats:
         """Columns and rows (N, 2) of flat indices."""
-        row, column = np.divmod(flat, self.depth.shape[1])
+        row, column = np.divmod(flat, self.image.depth.shape[1])
         return np.stack([column, row], axis=1).astype(np.float64)
 
     @cached_property
     def _extent(self) -> tuple[Floats, Floats]:
         """The patches' least pixel (2,), and how far they spread (2,)."""
-        pixels = self.pixels(self.patches)
+        pixels = self.pixels(self.pixel)
         return pixels.min(axis=0), np.ptp(pixels, axis=0) + 1
 
     def parts(self, pixels: Floats) -> Ints:
@@ -95,19 +82,19 @@ class ObjectView:
         Windows at the rim are one-sided: their normals are those of a place farther inside, and because the surface
         curves away there, they are biased towards the camera.
         """
-        there = np.isfinite(self.points[..., 2]).astype(np.uint8)
+        there = np.isfinite(self.image.points[..., 2]).astype(np.uint8)
         square = np.ones((_WINDOW, _WINDOW), np.uint8)
         return cv2.erode(there, square, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0
 
     def facing(self, flat: Ints) -> Floats:
         """Cosine of the slant (N,)."""
-        points, normals = (values.reshape(-1, 3)[flat].astype(np.float64) for values in (self.points, self.normals))
+        points, normals = (values.reshape(-1, 3)[flat].astype(np.float64) for values in self.image[:2])
         cosine: Floats = np.abs(np.sum(points * normals, axis=1)) / np.linalg.norm(points, axis=1)
         return cosine
 
     def sigma(self, flat: Ints) -> Floats:
         """Standard deviation of points along their normals (N,)."""
-        depth = self.points.reshape(-1, 3)[flat, 2].astype(np.float64)
+        depth = self.image.points.reshape(-1, 3)[flat, 2].astype(np.float64)
         sigma: Floats = self.noise * depth**2 * np.maximum(self.facing(flat), STEEPEST)
         return sigma
 
@@ -138,8 +125,9 @@ def view_of(
     patches = sample_evenly(own, turned, PATCHES, STEEPEST, beyond=False)
     size = float(np.linalg.norm(np.ptp(own[there], axis=0)))
     keypoints = no_keypoints() if picture is None else _keypoints(picture, own, there)
-    noise = relative_noise(own, turned)
-    return ObjectView(own, turned, depth, near, camera, patches, noise, _OF_SIZE * size, keypoints)
+    lens = np.array([*camera.focal_px, *camera.principal_point_px, *camera.distortion], np.float64)
+    image = RangeImage(own, turned, depth, near, lens)
+    return ObjectView(image, camera, patches, relative_noise(own, turned), _OF_SIZE * size, keypoints)
 
 
 def without_small_pieces(there: Bools) -> Bools:

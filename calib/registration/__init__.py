@@ -29,7 +29,18 @@ from calib.registration.keypoints import (
 from calib.registration.outlier_stations import ANOTHER_ROOM, SOMETHING_MOVED
 from calib.registration.plane_step import add_pair, step_pose
 from calib.registration.pose_graph import PairPose, PoseGraph, solve_pose_graph
-from calib.registration.range_view import StationView, pixel_under, rotate_vector, sample_evenly, station_view
+from calib.registration.projection import (
+    HIDDEN,
+    OFF_SURFACE,
+    THROUGH_FREE_SPACE,
+    UNSEEN,
+    Gates,
+    Patches,
+    RangeImage,
+    classify,
+    descend,
+)
+from calib.registration.range_view import StationView, sample_evenly, station_view
 from calib.registration.register import (
     NO_OVERLAP,
     NOTHING_SEEN,

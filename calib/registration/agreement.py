@@ -19,7 +19,8 @@ import numpy as np
 from calib.geometry import Pose
 from calib.numerics import Floats, Ints, compiled
 from calib.registration.keypoints import match_keypoints
-from calib.registration.range_view import Surfaces, pixel_under, rotate_vector
+from calib.registration.projection import THROUGH_FREE_SPACE, Gates, classify
+from calib.registration.range_view import Surfaces
 
 # Relative depth, beyond three sigmas of noise: error of a calibration, and of a pose before refinement.
 FINE, COARSE = 0.012, 0.03
@@ -32,19 +33,17 @@ _NATS_PER_KEYPOINT, _MARKS_BY_CHANCE, _MOST_NATS_OF_MARKS = 2.0, 4, 30.0
 # The best solution must be 1000 times as likely as the next.
 DECIDED_NATS = float(np.log(1000.0))
 _UPRIGHT_SIGMA = np.radians(45.0)
-_LIKE = float(np.cos(np.radians(35.0)))
-_CONTRADICTS, _HIDDEN, _FATES = 0, 1, 2
+GATES = Gates(True, 6.0, float(np.cos(np.radians(35.0))), beyond=1.0, free=_FREE, off=0.0, shows_backs=True)
 
 
 @dataclass(frozen=True)
 class Agreement:
     """Of K poses. `matched` (K, P + 1, Q + 1): patches that agree, by the planes in either station they are on, the
-    last for none; `contradicting`, `hidden` (K,): patches. `keypoints` (K,): those of the pictures that agree.
+    last for none; `contradicting` (K,): patches. `keypoints` (K,): those of the pictures that agree.
     """
 
     matched: Ints
     contradicting: Ints
-    hidden: Ints
     keypoints: Ints
 
     @property
@@ -91,21 +90,32 @@ def nats_of_tilt(poses: Pose) -> Floats:
     return cost
 
 
-def compare(
-    first: Surfaces,
-    second: Surfaces,
-    poses: Pose,
-    tolerance: float,
-    patches: int | None = None,
-) -> Agreement:
+def compare(first: Surfaces, second: Surfaces, poses: Pose, tolerance: float, patches: int | None = None) -> Agreement:
     """At K poses X_first = R X_second + t; `patches`: how many of each station are compared, None for all."""
-    count = len(poses.translation)
-    matched = np.zeros((count, len(first.planes) + 1, len(second.planes) + 1), np.int64)
-    fates = np.zeros((count, _FATES), np.int64)
-    _look(second, first, poses, tolerance, patches, matched.transpose(0, 2, 1), fates)
-    _look(first, second, poses.inverse(), tolerance, patches, matched, fates)
-    keypoints = _keypoints(first, second, poses, tolerance)
-    return Agreement(matched, fates[:, _CONTRADICTS], fates[:, _HIDDEN], keypoints)
+    matched, contradicting = _seen_by(first, second, poses, tolerance, patches)
+    back, also = _seen_by(second, first, poses.inverse(), tolerance, patches)
+    matched = matched.transpose(0, 2, 1) + back
+    return Agreement(matched, contradicting + also, _keypoints(first, second, poses, tolerance))
+
+
+def _seen_by(camera: Surfaces, moved: Surfaces, poses: Pose, tolerance: float, count: int | None) -> tuple[Ints, Ints]:
+    """Patches that agree (K, planes of what is moved + 1, planes of the camera's station + 1), and that contradict."""
+    noise = 3 * (camera.noise + moved.noise)
+    fates = classify(camera.image, moved.patches.first(count), poses, GATES, tolerance, noise)
+    matched = np.zeros((len(fates), len(moved.planes) + 1, len(camera.planes) + 1), np.int64)
+    contradicting = np.zeros(len(fates), np.int64)
+    _count(fates, moved.patch_labels, camera.labels.ravel(), THROUGH_FREE_SPACE, matched, contradicting)
+    return matched, contradicting
+
+
+@compiled
+def _count(fates: Ints, patch_labels: Ints, labels: Ints, contradicts: int, matched: Ints, contradicting: Ints) -> None:
+    for k in range(len(fates)):
+        for m in range(fates.shape[1]):
+            if fates[k, m] >= 0:
+                matched[k, patch_labels[m], labels[fates[k, m]]] += 1
+            elif fates[k, m] == contradicts:
+                contradicting[k] += 1
 
 
 def _keypoints(first: Surfaces, second: Surfaces, poses: Pose, tolerance: float) -> Ints:
@@ -122,76 +132,3 @@ def _keypoints(first: Surfaces, second: Surfaces, poses: Pose, tolerance: float)
 def compare_one(first: Surfaces, second: Surfaces, pose: Pose) -> Agreement:
     """At one pose, all patches at the fine tolerance."""
     return compare(first, second, pose[None], FINE)
-
-
-def _look(
-    patches_of: Surfaces,
-    seen_by: Surfaces,
-    poses: Pose,
-    tolerance: float,
-    count: int | None,
-    matched: Ints,
-    fates: Ints,
-) -> None:
-    """`matched` (K, planes of the patches + 1, planes of the camera + 1) and `fates` (K, 3) are added to."""
-    counted = np.zeros_like(matched, order="C")
-    _look_through(
-        patches_of.patches[:count],
-        patches_of.patch_normals[:count],
-        patches_of.patch_labels[:count],
-        np.ascontiguousarray(poses.rotation),
-        poses.translation,
-        seen_by.points,
-        seen_by.normals,
-        seen_by.labels,
-        seen_by.near,
-        seen_by.lens,
-        tolerance,
-        3 * (seen_by.noise + patches_of.noise),
-        counted,
-        fates,
-    )
-    matched += counted
-
-
-@compiled
-def _look_through(
-    patches: Floats,
-    patch_normals: Floats,
-    patch_labels: Ints,
-    rotations: Floats,
-    translations: Floats,
-    points: Floats,
-    normals: Floats,
-    labels: Ints,
-    near: Floats,
-    lens: Floats,
-    tolerance: float,
-    noise: float,
-    matched: Ints,
-    fates: Ints,
-) -> None:
-    height, width = labels.shape
-    for k in range(len(rotations)):
-        r, t = rotations[k], translations[k]
-        for m in range(len(patches)):
-            x, y, z = rotate_vector(r, patches[m])
-            x, y, z = x + t[0], y + t[1], z + t[2]
-            i, j = pixel_under(x, y, z, lens, height, width)
-            if i < 0:
-                continue
-            depth = points[i, j, 2]
-            if not depth > 0:
-                continue
-            within = depth * (tolerance + noise * depth)
-            p, q, s = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
-            off = p * (x - points[i, j, 0]) + q * (y - points[i, j, 1]) + s * (z - depth)
-            e, f, g = rotate_vector(r, patch_normals[m])
-            like = p * e + q * f + s * g
-            if np.abs(off) < within and np.abs(z - depth) < 6 * within:
-                if like > _LIKE:
-                    matched[k, patch_labels[m], labels[i, j]] += 1
-            elif z < near[i, j] - within - _FREE * depth:
-                fates[k, _CONTRADICTS] += 1
-            elif z > depth:
-                fates[k, _HIDDEN] += 1

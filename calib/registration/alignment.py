@@ -13,12 +13,12 @@ from itertools import combinations
 import numpy as np
 
 from calib.geometry import Pose, cross_matrix
-from calib.numerics import Floats, compiled
-from calib.registration.agreement import FINE
+from calib.numerics import Floats
+from calib.registration.agreement import FINE, GATES
 from calib.registration.keypoints import match_keypoints
-from calib.registration.range_view import Surfaces, pixel_under, rotate_vector
+from calib.registration.projection import add_patches
+from calib.registration.range_view import Surfaces
 
-_LIKE = float(np.cos(np.radians(35.0)))
 # Undetermined directions of a station do not move: damping relative to the determined ones.
 _DAMPING = 1e-3
 _STEPS = 12
@@ -51,36 +51,35 @@ def normal_equations(
 
     `tolerance`: relative to the depth, beyond the noise.
     """
-    sums, scalars = np.zeros((6, 7)), np.zeros(3)
-    for one, at, other, other_at, sign in (
-        (moving, place, still, still_place, 1.0),
-        (still, still_place, moving, place, -1.0),
+    matrix, pulls = np.zeros((6, 6)), np.zeros((2, 6))
+    noise, pose = 3 * (moving.noise + still.noise), still_place.inverse() @ place
+    square, weight, count = 0.0, 0.0, 0
+    for one, other, at, to_other, pull in (
+        (moving, still, still_place, pose, pulls[0]),
+        (still, moving, place, pose.inverse(), pulls[1]),
     ):
-        part = np.zeros((6, 7))
-        _add_up(
-            one.patches[:patches],
-            one.patch_normals[:patches],
-            np.ascontiguousarray(at.rotation),
-            at.translation,
-            other.points,
-            other.normals,
-            other.lens,
-            np.ascontiguousarray(other_at.rotation),
-            other_at.translation,
-            tolerance,
-            3 * (one.noise + other.noise),
-            part,
-            scalars,
+        some, (turn, shift) = (
+            one.patches.first(patches),
+            (np.ascontiguousarray(to_other.rotation), to_other.translation),
         )
-        part[:, 6] *= sign
-        sums += part
-    sums += _of_keypoints(moving, place, still, still_place, tolerance)
-    return NormalEquations(sums[:, :6], sums[:, 6], float(scalars[0]), float(scalars[1]), int(scalars[2]))
+        room = np.ascontiguousarray(at.rotation), at.translation
+        sums = add_patches(other.image, some, turn, shift, GATES, tolerance, noise, *room, matrix, pull)
+        square, weight, count = square + sums[1], weight + sums[2], count + sums[3]
+    keypoints = _of_keypoints(moving, place, still, still_place, tolerance)
+    matrix, gradient = matrix + keypoints[:, :6], pulls[0] - pulls[1] + keypoints[:, 6]
+    return NormalEquations(matrix, gradient, square, weight, count)
+
+
+def _contiguous(pose: Pose) -> tuple[Floats, Floats]:
+    """Rotation and translation, as compiled loops take them."""
+    return np.ascontiguousarray(pose.rotation), pose.translation
 
 
 def _of_keypoints(moving: Surfaces, place: Pose, still: Surfaces, still_place: Pose, tolerance: float) -> Floats:
     """Normal matrix and gradient (6, 7) of matching keypoints that should coincide, with Tukey's weights."""
     own, matching = match_keypoints(moving.keypoints, still.keypoints)
+    if not len(own):
+        return np.zeros((6, 7))
     points = place @ moving.keypoints.points[own]
     off = points - still_place @ still.keypoints.points[matching]
     depth = moving.keypoints.points[own, 2]
@@ -164,65 +163,3 @@ def _step(matrix: Floats, gradient: Floats, centre: Floats) -> Floats:
     turns, shifts = np.trace(own[:3, :3]) / 3, np.trace(own[3:, 3:]) / 3
     damped = own + _DAMPING * np.diag([turns] * 3 + [shifts] * 3) + 1e-12 * np.eye(6)
     return about @ -np.linalg.solve(damped, about.T @ gradient)
-
-
-@compiled
-def _add_up(
-    patches: Floats,
-    patch_normals: Floats,
-    rotation: Floats,
-    translation: Floats,
-    points: Floats,
-    normals: Floats,
-    lens: Floats,
-    camera_rotation: Floats,
-    camera_translation: Floats,
-    tolerance: float,
-    noise: float,
-    sums: Floats,
-    scalars: Floats,
-) -> None:
-    """Add to `sums` (6, 7), the normal matrix and the gradient by the patches' twist, with Tukey's weights; and to
-    `scalars` (3,): squares, weights, number.
-    """
-    height, width = points.shape[:2]
-    r = camera_rotation.T @ rotation
-    t = camera_rotation.T @ (translation - camera_translation)
-    j6 = np.empty(6)
-    for m in range(len(patches)):
-        x, y, z = rotate_vector(r, patches[m])
-        x, y, z = x + t[0], y + t[1], z + t[2]
-        i, j = pixel_under(x, y, z, lens, height, width)
-        if i < 0:
-            continue
-        depth = points[i, j, 2]
-        if not depth > 0:
-            continue
-        within = depth * (tolerance + noise * depth)
-        p, q, s = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
-        off = p * (x - points[i, j, 0]) + q * (y - points[i, j, 1]) + s * (z - depth)
-        if not (np.abs(off) < within and np.abs(z - depth) < 6 * within):
-            continue
-        e0, e1, e2 = rotate_vector(r, patch_normals[m])
-        like = p * e0 + q * e1 + s * e2
-        if not like > _LIKE:
-            continue
-        # In the room's frame, where the patch is and where the normal points.
-        e = camera_rotation
-        u = e[0, 0] * x + e[0, 1] * y + e[0, 2] * z + camera_translation[0]
-        v = e[1, 0] * x + e[1, 1] * y + e[1, 2] * z + camera_translation[1]
-        w = e[2, 0] * x + e[2, 1] * y + e[2, 2] * z + camera_translation[2]
-        j6[3] = e[0, 0] * p + e[0, 1] * q + e[0, 2] * s
-        j6[4] = e[1, 0] * p + e[1, 1] * q + e[1, 2] * s
-        j6[5] = e[2, 0] * p + e[2, 1] * q + e[2, 2] * s
-        j6[0] = v * j6[5] - w * j6[4]
-        j6[1] = w * j6[3] - u * j6[5]
-        j6[2] = u * j6[4] - v * j6[3]
-        weight = (1 - (off / within) ** 2) ** 2 / (depth * depth)
-        for k in range(6):
-            for n in range(6):
-                sums[k, n] += weight * j6[k] * j6[n]
-            sums[k, 6] += weight * off * j6[k]
-        scalars[0] += weight * off * off
-        scalars[1] += (1 - (off / within) ** 2) ** 2
-        scalars[2] += 1

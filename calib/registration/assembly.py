@@ -160,7 +160,7 @@ def _coarsely(surfaces: Mapping[int, Surfaces], group: Assembly, k: int, place: 
     for member, at in group.places.items():
         pose = at.inverse() @ place
         agreements.append(compare(surfaces[member], surfaces[k], pose[None], COARSE, _PATCHES))
-    return float(gain(agreements, len(surfaces[k].patches) / _PATCHES)[0])
+    return float(gain(agreements, len(surfaces[k].patches.points) / _PATCHES)[0])
 
 
 def _together(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:

@@ -60,7 +60,7 @@ def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
         further += shape_poses(first, second)
     poses = Pose.concatenate([by_planes, Pose.stack(further)])
     coarse = compare(first, second, poses, COARSE, _COARSE_PATCHES)
-    thinned = max(1.0, len(first.patches) / _COARSE_PATCHES)
+    thinned = max(1.0, len(first.patches.points) / _COARSE_PATCHES)
     worth = gain([coarse], thinned) - nats_of_tilt(poses)
     worth[len(worth) - len(further) :] += 1e6  # they are few, and each is evaluated
     size = _SAME_PLACE * (first.distance + second.distance) / 2
@@ -284,9 +284,9 @@ def shape_poses(first: Surfaces, second: Surfaces) -> list[Pose]:
     clouds: list[Any] = []
     features: list[Any] = []
     for surfaces in (first, second):
-        there = np.isfinite(surfaces.normals[..., 2])
-        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(surfaces.points[there]))
-        cloud.normals = o3d.utility.Vector3dVector(surfaces.normals[there])
+        there = np.isfinite(surfaces.image.normals[..., 2])
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(surfaces.image.points[there]))
+        cloud.normals = o3d.utility.Vector3dVector(surfaces.image.normals[there])
         cloud = cloud.voxel_down_sample(voxel)
         cloud.normalize_normals()
         around = o3d.geometry.KDTreeSearchParamHybrid(_RADIUS_VOXELS * voxel, _NEIGHBOURS)
@@ -322,5 +322,5 @@ def _ransac(clouds: list[Any], features: list[Any], voxel: float, seed: int) -> 
 
 def _extent(surfaces: Surfaces) -> float:
     """How large the greater part of a station's surfaces is."""
-    low, high = np.percentile(surfaces.patches, (5, 95), axis=0)
+    low, high = np.percentile(surfaces.patches.points, (5, 95), axis=0)
     return float(np.linalg.norm(high - low))

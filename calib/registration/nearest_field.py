@@ -5,7 +5,7 @@ both normals makes them exact to the second order on curved surfaces (Rusinkiewi
 ICP", 2019).
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calib.geometry import Pose
 from calib.numerics import Floats, compiled, inlined
 from calib.registration.plane_step import add_pair, step_pose
-from calib.registration.range_view import rotate_vector
+from calib.registration.projection import Patches, rotate_vector
 from calib.registration.sampled_surface import SampledSurface
 
 REACH = 5  # cells around a sample that know it
@@ -24,13 +24,15 @@ _DAMPING = 1e-4
 _PER_AGAINST = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class NearestField:
+class NearestField(NamedTuple):
     """For cells of space the nearest sample of a surface."""
 
-    surface: SampledSurface
-    index: NDArray[np.int32]
-    """(X, Y, Z): of the nearest sample within `REACH` cells, −1 for none."""
+    points: Floats
+    """(N, 3): the samples."""
+    normals: Floats
+    """(N, 3)"""
+    nearest: NDArray[np.int32]
+    """(X, Y, Z): the number of the nearest sample within `REACH` cells, −1 for none."""
     origin: Floats
     """(3,): the corner of the first cell."""
     cell: float
@@ -47,7 +49,7 @@ def nearest_field(surface: SampledSurface) -> NearestField:
     shape = (np.ceil((high - low) / cell) + 2 * REACH + 1).astype(np.int64)
     index = np.full(tuple(shape.tolist()), -1, np.int32)
     _fill(surface.points, origin, cell, REACH, index, np.full(index.shape, np.inf, np.float32))
-    return NearestField(surface, index, origin, cell)
+    return NearestField(surface.points, surface.normals, index, origin, cell)
 
 
 @compiled
@@ -70,152 +72,107 @@ def _fill(
                         index[a, b, c] = n
 
 
-def worths(field: NearestField, patches: SampledSurface, poses: Pose, within: float) -> Floats:
+def worths(field: NearestField, patches: Patches, poses: Pose, within: float) -> Floats:
     """Patches that lie on the surface within a distance, less those beside it, for each of poses (K,): (K,).
 
     Poses lead from the patches' frame to the surface's.
     """
     worth = np.empty(len(poses.translation))
-    _evaluate(
-        np.ascontiguousarray(poses.rotation),
-        np.ascontiguousarray(poses.translation),
-        patches.points,
-        patches.normals,
-        field.surface.points,
-        field.surface.normals,
-        field.index,
-        field.origin,
-        field.cell,
-        within,
-        worth,
-    )
+    turns, shifts = np.ascontiguousarray(poses.rotation), np.ascontiguousarray(poses.translation)
+    _evaluate(field, patches, turns, shifts, within, worth)
     return worth
 
 
-def descended(field: NearestField, patches: SampledSurface, poses: Pose, withins: Floats) -> tuple[Pose, Floats]:
-    """Poses (K,) after point-to-plane steps, one for each of the distances `withins`, and their worth (K,)."""
+def descended(field: NearestField, patches: Patches, poses: Pose, withins: Floats) -> tuple[Pose, Floats]:
+    """Poses (K,) after point-to-plane steps, one for each of the distances `withins`, and their worth (K,), as of
+    `worths`, before the last step.
+    """
     moved, worth = Pose(poses.rotation.copy(), poses.translation.copy()), np.zeros(len(poses.translation))
-    _descend(
-        moved.rotation,
-        moved.translation,
-        patches.points,
-        patches.normals,
-        field.surface.points,
-        field.surface.normals,
-        field.index,
-        field.origin,
-        field.cell,
-        withins,
-        worth,
-    )
+    _descend(field, patches, moved.rotation, moved.translation, withins, worth)
     return moved, worth
 
 
 @compiled
-def _sample_at(x: float, y: float, z: float, index: NDArray[np.int32], origin: Floats, cell: float) -> int:
+def _sample_at(field: NearestField, x: float, y: float, z: float) -> int:
     """The number of the sample near a place, −1 for none."""
-    a, b, c = np.floor((x - origin[0]) / cell), np.floor((y - origin[1]) / cell), np.floor((z - origin[2]) / cell)
-    if a < 0 or b < 0 or c < 0 or a >= index.shape[0] or b >= index.shape[1] or c >= index.shape[2]:
+    a, b, c = (
+        np.floor((x - field.origin[0]) / field.cell),
+        np.floor((y - field.origin[1]) / field.cell),
+        np.floor((z - field.origin[2]) / field.cell),
+    )
+    shape = field.nearest.shape
+    if a < 0 or b < 0 or c < 0 or a >= shape[0] or b >= shape[1] or c >= shape[2]:
         return -1
-    return int(index[int(a), int(b), int(c)])
+    return int(field.nearest[int(a), int(b), int(c)])
 
 
 @inlined
 def _paired(
-    r: Floats,
-    t: Floats,
-    patch: Floats,
-    patch_normal: Floats,
-    points: Floats,
-    normals: Floats,
-    index: NDArray[np.int32],
-    origin: Floats,
-    cell: float,
-) -> tuple[int, float, float, float, float, float, float]:
-    """The sample that a patch at a pose lies beside, −1 for none; and the patch's place and normal there."""
+    field: NearestField, r: Floats, t: Floats, patch: Floats, patch_normal: Floats
+) -> tuple[int, tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+    """The sample that a patch at a pose lies beside, −1 for none; the patch's place and normal there, and its way from
+    the sample.
+    """
     x, y, z = rotate_vector(r, patch)
-    x, y, z = x + t[0], y + t[1], z + t[2]
-    n = _sample_at(x, y, z, index, origin, cell)
+    place = x + t[0], y + t[1], z + t[2]
+    facing = rotate_vector(r, patch_normal)
+    n = _sample_at(field, place[0], place[1], place[2])
     if n < 0:
-        return -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    e, f, g = rotate_vector(r, patch_normal)
-    if e * normals[n, 0] + f * normals[n, 1] + g * normals[n, 2] < _LIKE:
-        return -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    a, b, c = x - points[n, 0], y - points[n, 1], z - points[n, 2]
-    off = a * normals[n, 0] + b * normals[n, 1] + c * normals[n, 2]
-    if a * a + b * b + c * c - off * off > 4 * cell * cell:
-        return -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    return n, x, y, z, e, f, g
+        return -1, place, facing, place
+    way = place[0] - field.points[n, 0], place[1] - field.points[n, 1], place[2] - field.points[n, 2]
+    if _product(facing, field.normals[n]) < _LIKE:
+        return -1, place, facing, way
+    off = _product(way, field.normals[n])
+    if way[0] ** 2 + way[1] ** 2 + way[2] ** 2 - off * off > 4 * field.cell * field.cell:
+        return -1, place, facing, way
+    return n, place, facing, way
+
+
+@inlined
+def _product(one: tuple[float, float, float], other: Floats) -> float:
+    return float(one[0] * other[0] + one[1] * other[1] + one[2] * other[2])
 
 
 @compiled
 def _evaluate(
-    turns: Floats,
-    shifts: Floats,
-    patches: Floats,
-    patch_normals: Floats,
-    points: Floats,
-    normals: Floats,
-    index: NDArray[np.int32],
-    origin: Floats,
-    cell: float,
-    within: float,
-    worth: Floats,
+    field: NearestField, patches: Patches, turns: Floats, shifts: Floats, within: float, worth: Floats
 ) -> None:
     for k in range(len(turns)):
-        r, t = turns[k], shifts[k]
-        total = 0.0
-        for m in range(len(patches)):
-            n, x, y, z, _, _, _ = _paired(r, t, patches[m], patch_normals[m], points, normals, index, origin, cell)
-            if n < 0:
-                continue
-            a, b, c = x - points[n, 0], y - points[n, 1], z - points[n, 2]
-            off = a * normals[n, 0] + b * normals[n, 1] + c * normals[n, 2]
-            if np.abs(off) < within:
-                total += 1 - (off / within) ** 2
-            else:
-                total -= _PER_AGAINST
-        worth[k] = total
+        worth[k] = 0.0
+        for m in range(len(patches.points)):
+            n, _, _, way = _paired(field, turns[k], shifts[k], patches.points[m], patches.normals[m])
+            if n >= 0:
+                off = _product(way, field.normals[n])
+                worth[k] += 1 - (off / within) ** 2 if np.abs(off) < within else -_PER_AGAINST
 
 
 @compiled
 def _descend(
-    turns: Floats,
-    shifts: Floats,
-    patches: Floats,
-    patch_normals: Floats,
-    points: Floats,
-    normals: Floats,
-    index: NDArray[np.int32],
-    origin: Floats,
-    cell: float,
-    withins: Floats,
-    worth: Floats,
+    field: NearestField, patches: Patches, turns: Floats, shifts: Floats, withins: Floats, worth: Floats
 ) -> None:
-    """Move all poses (K, 3, 3), (K, 3) point to plane; `worth` (K,): as of `worths`, before the last step."""
-    centre = np.zeros(3)
     for k in range(len(turns)):
         r, t = turns[k], shifts[k]
         for within in withins:
-            matrix, gradient = np.zeros((6, 6)), np.zeros(6)
+            matrix, gradient, centre = np.zeros((6, 6)), np.zeros(6), t.copy()
             worth[k] = 0.0
-            for axis in range(3):
-                centre[axis] = t[axis]
-            for m in range(len(patches)):
-                n, x, y, z, e, f, g = _paired(r, t, patches[m], patch_normals[m], points, normals, index, origin, cell)
+            for m in range(len(patches.points)):
+                n, place, facing, way = _paired(field, r, t, patches.points[m], patches.normals[m])
                 if n < 0:
                     continue
-                a, b, c = x - points[n, 0], y - points[n, 1], z - points[n, 2]
-                p, q, s = normals[n, 0] + e, normals[n, 1] + f, normals[n, 2] + g
+                p, q, s = (
+                    field.normals[n, 0] + facing[0],
+                    field.normals[n, 1] + facing[1],
+                    field.normals[n, 2] + facing[2],
+                )
                 length = np.sqrt(p * p + q * q + s * s)
                 p, q, s = p / length, q / length, s / length
-                off = a * p + b * q + c * s
+                off = way[0] * p + way[1] * q + way[2] * s
                 if not np.abs(off) < within:
                     worth[k] -= _PER_AGAINST
                     continue
                 share = 1 - (off / within) ** 2
                 worth[k] += share
-                arm = x - centre[0], y - centre[1], z - centre[2]
+                arm = place[0] - centre[0], place[1] - centre[1], place[2] - centre[2]
                 add_pair(matrix, gradient, arm, (p, q, s), off, share * share)
             if not step_pose(matrix, gradient, _DAMPING, centre, r, t):
                 break

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Intrinsics, Plane
-from calib.numerics import Floats, Ints, compiled
+from calib.numerics import Floats, Ints
 from calib.registration.keypoints import Keypoints, no_keypoints
+from calib.registration.projection import Patches, RangeImage
 from calib.registration.segments import find_segments, relative_noise
 
 
@@ -47,33 +48,6 @@ def station_view(points: NDArray[np.float32], normals: NDArray[np.float32], came
     return StationView(points, normals, labels, planes, camera, noise)
 
 
-@compiled
-def rotate_vector(r: Floats, vector: Floats) -> tuple[float, float, float]:
-    """R (3, 3) times a vector (3,), without an array for the result."""
-    a, b, c = vector[0], vector[1], vector[2]
-    return (
-        r[0, 0] * a + r[0, 1] * b + r[0, 2] * c,
-        r[1, 0] * a + r[1, 1] * b + r[1, 2] * c,
-        r[2, 0] * a + r[2, 1] * b + r[2, 2] * c,
-    )
-
-
-@compiled
-def pixel_under(x: float, y: float, z: float, lens: Floats, height: int, width: int) -> tuple[int, int]:
-    """Row and column that a point in the camera's frame falls on; (−1, −1) outside the picture or behind the camera."""
-    if not z > 1e-9:
-        return -1, -1
-    u, v = x / z, y / z
-    q = u * u + v * v
-    radial = 1 + q * (lens[4] + q * (lens[5] + q * lens[8]))
-    across = u * radial + 2 * lens[6] * u * v + lens[7] * (q + 2 * u * u)
-    down = v * radial + lens[6] * (q + 2 * v * v) + 2 * lens[7] * u * v
-    column, row = np.floor(lens[0] * across + lens[2] + 0.5), np.floor(lens[1] * down + lens[3] + 0.5)
-    if not (0 <= column < width and 0 <= row < height):
-        return -1, -1
-    return int(row), int(column)
-
-
 _COLUMNS = 306
 # Pixels: error of unrefined poses, and uncertainty of the edges of things.
 _AROUND = 7
@@ -83,31 +57,26 @@ _STEEPEST = 0.1  # cosine of the slant beyond which a patch's area is unreliable
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """`points`, `normals` (h, w, 3), `labels` (h, w) as in the view, on the grid of a pinhole camera with `focal_px`
-    and `centre_px`; `near` (h, w): least depth around each pixel. All NaN where nothing was
-    measured. `patches`, `patch_normals` (M, 3), `patch_labels` (M,), in random order. `planes` (P, 4): normals and
-    offsets, `plane_area` (P,): patches on each. `distance`: median depth. `keypoints`: of the picture.
-    """
+    """What a registration compares of a station with planes."""
 
-    points: Floats
-    normals: Floats
+    image: RangeImage
+    """Of a pinhole camera (h, w); all NaN where nothing was measured."""
     labels: Ints
-    near: Floats
-    focal_px: float
-    centre_px: tuple[float, float]
-    patches: Floats
-    patch_normals: Floats
+    """(h, w): as in the view."""
+    patches: Patches
+    """M of them, in random order."""
     patch_labels: Ints
+    """(M,)"""
     planes: Floats
+    """(P, 4): normals and offsets."""
     plane_area: Ints
+    """(P,): patches on each."""
     noise: float
+    """As of the view."""
     distance: float
+    """Median depth."""
     keypoints: Keypoints
-
-    @property
-    def lens(self) -> Floats:
-        """Of the pinhole camera (9,), as `calib.registration.range_view` reads it."""
-        return np.array([self.focal_px, self.focal_px, *self.centre_px, 0, 0, 0, 0, 0], np.float64)
+    """Of the picture."""
 
 
 def surfaces_of(view: StationView) -> Surfaces:
@@ -127,15 +96,11 @@ def surfaces_of(view: StationView) -> Surfaces:
     flat = points.reshape(-1, 3)
     patch_labels = labels.ravel()[chosen]
     planes = np.array([[*plane.normal, plane.offset] for plane in view.planes]).reshape(-1, 4)
+    lens = np.array([focal_px, focal_px, *centre_px, 0, 0, 0, 0, 0], np.float64)
     return Surfaces(
-        points,
-        normals,
+        RangeImage(points, normals, np.ascontiguousarray(depth), np.where(missing, np.nan, near), lens),
         labels,
-        np.where(missing, np.nan, near),
-        focal_px,
-        centre_px,
-        flat[chosen],
-        normals.reshape(-1, 3)[chosen],
+        Patches(flat[chosen], normals.reshape(-1, 3)[chosen]),
         patch_labels,
         planes,
         np.bincount(patch_labels[patch_labels >= 0], minlength=len(planes)),

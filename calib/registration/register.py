@@ -167,7 +167,7 @@ def _pairs(surfaces: Mapping[int, Surfaces], group: Group) -> list[Pair]:
     for (i, at), (j, there) in combinations(zip(group.stations, group.places, strict=True), 2):
         pose = at.inverse() @ there
         agreement = compare_one(surfaces[i], surfaces[j], pose)
-        overlap = float(agreement.agreeing[0]) / (len(surfaces[i].patches) + len(surfaces[j].patches))
+        overlap = float(agreement.agreeing[0]) / (len(surfaces[i].patches.points) + len(surfaces[j].patches.points))
         if overlap < _LEAST_OVERLAP:
             continue
         fit = normal_equations(surfaces[j], pose, surfaces[i], IDENTITY, 0.01)

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from calib.deferred_imports import open3d
 from calib.numerics import Bools, Floats, Ints, evenly_spread, median
 from calib.pointcloud import scattered_surface
+from calib.registration.projection import Patches
 
 _NEIGHBOURS = 12  # of a point, for planes through them
 _NOISE_SAMPLE = 3000  # points
@@ -50,6 +51,11 @@ class SampledSurface:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @property
+    def patches(self) -> Patches:
+        """The samples, for compiled loops."""
+        return Patches(self.points, self.normals)
 
     @property
     def flipped(self) -> "SampledSurface":

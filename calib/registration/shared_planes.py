@@ -42,7 +42,7 @@ def shared_planes(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) 
 
 def patches_on(surfaces: Surfaces, label: int) -> Floats:
     """Patches (N, 3) of a segment, in the camera's frame."""
-    on: Floats = surfaces.patches[surfaces.patch_labels == label]
+    on: Floats = surfaces.patches.points[surfaces.patch_labels == label]
     return on
 
 

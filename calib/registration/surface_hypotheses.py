@@ -49,9 +49,9 @@ def surface_poses(first: SampledSurface, second: SampledSurface) -> tuple[Pose, 
     ]
     turns = even_rotations(_TURNS)
     starts.append(Pose(turns, _middle(first) - turns @ _middle(second)))
-    wide, worth = descended(field, patches.some(_SOME), Pose.concatenate(starts), first.cell * _WIDE)
+    wide, worth = descended(field, patches.some(_SOME).patches, Pose.concatenate(starts), first.cell * _WIDE)
     chosen = _distinct(wide, worth, first.cell, _FOLLOWED)
-    close, worth = descended(field, patches, wide[chosen], first.cell * _CLOSE)
+    close, worth = descended(field, patches.patches, wide[chosen], first.cell * _CLOSE)
     chosen = _distinct(close, worth, first.cell, _KEPT)
     return close[chosen], worth[chosen]
 
@@ -67,11 +67,11 @@ def _most_promising(field: NearestField, patches: SampledSurface, poses: Pose) -
     """The distinct ones of many poses at which most of the second surface lies on the first."""
     if not len(poses.translation):
         return poses
-    cell = field.surface.cell
-    worth = worths(field, patches.some(_FEW), poses, 2 * _WITHIN * cell)
+    cell = patches.cell
+    worth = worths(field, patches.some(_FEW).patches, poses, 2 * _WITHIN * cell)
     best = np.argsort(-worth, kind="stable")[:_PROMISING]
     poses = poses[best]
-    worth = worths(field, patches.some(_SOME), poses, 2 * _WITHIN * cell)
+    worth = worths(field, patches.some(_SOME).patches, poses, 2 * _WITHIN * cell)
     return poses[_distinct(poses, worth, cell, _FOLLOWED)]
 
 

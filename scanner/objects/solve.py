@@ -248,9 +248,9 @@ def _finished(
             loose.append(n)
         of_thing = kept[n].of_thing[..., None]
         nothing = np.float32(np.nan)
-        points, normals = (np.where(of_thing, each, nothing) for each in (view.points, view.normals))
+        points, normals = (np.where(of_thing, each, nothing) for each in view.image[:2])
         own = replace(registered.clouds[k], points=points, normals=normals)
-        on_no_plane = np.full(view.depth.shape, -1, np.int32)
+        on_no_plane = np.full(view.image.depth.shape, -1, np.int32)
         place = upright @ places[n]
         stations.append(Station(k, captures[k], own, on_no_plane, place, np.degrees(turning), moving, np.nan))
     axis = None

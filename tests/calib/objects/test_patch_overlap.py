@@ -6,9 +6,17 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats
-from calib.objects.patch_overlap import HIDDEN, OFF_SURFACE, THROUGH_FREE_SPACE, UNSEEN, overlapping_pixels_of_points
+from calib.objects.patch_overlap import overlapping_pixels
 from calib.objects.view import ObjectView
-from calib.registration import no_keypoints
+from calib.registration import (
+    HIDDEN,
+    OFF_SURFACE,
+    THROUGH_FREE_SPACE,
+    UNSEEN,
+    Patches,
+    RangeImage,
+    no_keypoints,
+)
 
 WIDTH, HEIGHT, FOCAL = 80, 60, 100.0
 SURFACE, BACKGROUND = 2.0, 3.0  # depths of a plane in the middle of the picture, and of the wall behind it
@@ -26,8 +34,9 @@ def view() -> ObjectView:
     depth = np.where(is_thing, SURFACE, BACKGROUND).astype(np.float32)
     depth[:, :10] = 0  # where nothing is known
     camera = Intrinsics(WIDTH, HEIGHT, (FOCAL, FOCAL), (40.0, 30.0))
-    patches = np.flatnonzero(is_thing)
-    return ObjectView(points, normals, depth, depth, camera, patches, 1e-4, GRAIN, no_keypoints())
+    lens = np.array([FOCAL, FOCAL, 40.0, 30.0, 0, 0, 0, 0, 0])
+    image = RangeImage(points, normals, depth, depth, lens)
+    return ObjectView(image, camera, np.flatnonzero(is_thing), 1e-4, GRAIN, no_keypoints())
 
 
 def at(column: float, row: float, depth: float) -> Floats:
@@ -67,5 +76,5 @@ def turned(degrees: float) -> Floats:
 def test_a_patch_is_where_its_place_says(view: ObjectView, point: Floats, normal: Floats, expected: int) -> None:
     """In the frame of another view, from which the pose leads to this one."""
     back = POSE.inverse()
-    points, normals = (back @ point)[None], (back.rotation @ normal)[None]
-    assert overlapping_pixels_of_points(points, normals, view, POSE, WITHIN).tolist() == [expected]
+    patch = Patches((back @ point)[None], (back.rotation @ normal)[None])
+    assert overlapping_pixels(patch, view, POSE, WITHIN).tolist() == [expected]

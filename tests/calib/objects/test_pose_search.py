@@ -53,7 +53,7 @@ def test_the_pose_of_a_turned_thing_is_found(degrees: tuple[float, float, float]
 def test_normals_of_a_round_thing_meet_in_its_middle() -> None:
     view = ellipsoid(np.eye(3))
     assert np.linalg.norm(normal_centre(view) - CENTRE) < RADII.max() / 2
-    assert normal_centre(view)[2] > view.patch_points[:, 2].max() - RADII.min() / 2
+    assert normal_centre(view)[2] > view.patches.points[:, 2].max() - RADII.min() / 2
 
 
 def test_no_rotation_is_far_from_the_even_ones() -> None:

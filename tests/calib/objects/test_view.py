@@ -24,9 +24,9 @@ def test_interior_normals_are_unbiased_and_rim_normals_tilt_towards_the_camera()
     point = ((SIDE - 1) / 2, (SIDE - 1) / 2)
     view = view_of(cloud, surface(cloud, FOCAL).normals, Intrinsics(SIDE, SIDE, (FOCAL, FOCAL), point))
     assert view is not None
-    seen = view.patches
+    seen = view.pixel
     true = (points - middle).reshape(-1, 3)[seen] / radius
-    facing = -np.sum(true * view.patch_points, axis=1) / np.linalg.norm(view.patch_points, axis=1)
+    facing = -np.sum(true * view.patches.points, axis=1) / np.linalg.norm(view.patches.points, axis=1)
     bias, inner = view.facing(seen) - facing, view.inner[seen]
     flat = facing > 0.6  # beyond, a window's middle is no longer its surface's
     assert 0.6 < inner.mean() < 0.98
