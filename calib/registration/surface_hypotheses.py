@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calib.deferred_imports import open3d
 from calib.geometry import Pose
-from calib.numerics import Floats, Ints, compiled, distinct
+from calib.numerics import Bools, Floats, Ints, compiled, distinct
 from calib.registration.hypotheses import poses_by_planes
 from calib.registration.nearest_field import NearestField, descended, nearest_field, worths
 from calib.registration.rotations import even_rotations
@@ -23,7 +23,7 @@ _FEATURE_RADII, _FEATURE_NEIGHBOURS = (4.0, 8.0), 100  # cells
 _MATCHED, _MATCHES = 400, 3  # points of the second surface; matches of each
 _LEAST_APART, _OFF_APART = 6.0, 1.5  # cells: least distance of two points, largest difference of such distances
 _OFF_COSINE, _LEAST_ACROSS = 0.25, 0.3
-_MOST_POSES = 150_000
+_MOST_PAIRS, _MOST_POSES = 1_000_000, 150_000
 _FEW, _SOME, _MANY = 80, 250, 1000  # patches
 _PROMISING, _FOLLOWED, _KEPT = 2500, 400, 24
 _TURNS = 900
@@ -86,18 +86,53 @@ def _middle(surface: SampledSurface) -> Floats:
 def _feature_poses(first: SampledSurface, second: SampledSurface) -> Pose:
     """Poses (K,) at which pairs of points with like features meet."""
     own, other = _matches(first, second)
-    turns, shifts = np.empty((_MOST_POSES, 3, 3)), np.empty((_MOST_POSES, 3))
-    count = _pair_poses(
-        first.points[own],
-        first.normals[own],
-        second.points[other],
-        second.normals[other],
-        _LEAST_APART * first.cell,
-        _OFF_APART * first.cell,
-        turns,
-        shifts,
-    )
-    return Pose(turns[:count], shifts[:count])
+    here, there = first.part(own), second.part(other)
+    pairs = np.empty((_MOST_PAIRS, 2), np.int32)
+    a, b = pairs[: _apart_alike(here.points, there.points, first.cell, pairs)].T
+    ways = [side.points[b] - side.points[a] for side in (here, there)]
+    cosines = []
+    for side, way in zip((here, there), ways, strict=True):
+        one, other_one, along = side.normals[a], side.normals[b], way / np.linalg.norm(way, axis=1, keepdims=True)
+        cosines.append([np.sum(u * v, axis=1) for u, v in ((one, other_one), (along, one), (along, other_one))])
+    like = np.flatnonzero(np.all(np.abs(np.array(cosines[0]) - cosines[1]) <= _OFF_COSINE, axis=0))[:_MOST_POSES]
+    a, b = a[like], b[like]
+    (to, is_wide), (of, is_also_wide) = (_frames(side, a, b) for side in (here, there))
+    wide = is_wide & is_also_wide
+    turns = to[wide] @ of[wide].transpose(0, 2, 1)
+    middles = [(side.points[a] + side.points[b])[wide] / 2 for side in (here, there)]
+    return Pose(turns, middles[0] - np.einsum("kij,kj->ki", turns, middles[1]))
+
+
+@compiled
+def _apart_alike(here: Floats, there: Floats, cell: float, pairs: NDArray[np.int32]) -> int:
+    """Fill in the numbers (K, 2) of matches whose points are as far apart on either surface; returns how many."""
+    count = 0
+    for a in range(len(here)):
+        for b in range(a):
+            long = far = 0.0
+            for axis in range(3):
+                long += (here[b, axis] - here[a, axis]) ** 2
+                far += (there[b, axis] - there[a, axis]) ** 2
+            if long < (_LEAST_APART * cell) ** 2 or np.abs(np.sqrt(long) - np.sqrt(far)) > _OFF_APART * cell:
+                continue
+            pairs[count, 0], pairs[count, 1] = a, b
+            count += 1
+            if count == len(pairs):
+                return count
+    return count
+
+
+def _frames(surface: SampledSurface, a: Ints, b: Ints) -> tuple[Floats, Bools]:
+    """Axes (K, 3, 3), columns: from one point to the other, across it along both normals, and the third; and whether
+    the normals are across it (K,).
+    """
+    along = surface.points[b] - surface.points[a]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = surface.normals[a] + surface.normals[b]
+    across -= np.sum(across * along, axis=1, keepdims=True) * along
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    across /= np.maximum(length, 1e-12)
+    return np.stack([along, across, np.cross(along, across)], axis=-1), length[:, 0] >= _LEAST_ACROSS
 
 
 def _matches(first: SampledSurface, second: SampledSurface) -> tuple[Ints, Ints]:
@@ -126,100 +161,6 @@ def _features(surface: SampledSurface, radius: float) -> NDArray[np.float32]:
     around = o3d.geometry.KDTreeSearchParamHybrid(radius, _FEATURE_NEIGHBOURS)
     features: Any = o3d.pipelines.registration.compute_fpfh_feature(cloud, around)
     return np.ascontiguousarray(np.asarray(features.data).T, np.float32)
-
-
-@compiled
-def _pair_poses(
-    here: Floats,
-    here_normals: Floats,
-    there: Floats,
-    there_normals: Floats,
-    least_apart: float,
-    off_apart: float,
-    turns: Floats,
-    shifts: Floats,
-) -> int:
-    """Fill in the poses at which two of the matches meet with points and normals; returns their number."""
-    count, most = 0, len(turns)
-    frames = np.empty((2, 3, 3))
-    for a in range(len(here)):
-        for b in range(a):
-            long = _apart(here, a, b)
-            far = _apart(there, a, b)
-            if long < least_apart or np.abs(long - far) > off_apart:
-                continue
-            if np.abs(_cosine(here_normals, a, b) - _cosine(there_normals, a, b)) > _OFF_COSINE:
-                continue
-            if (
-                np.abs(_slope(here, here_normals, a, b, a) / long - _slope(there, there_normals, a, b, a) / far)
-                > _OFF_COSINE
-            ):
-                continue
-            if (
-                np.abs(_slope(here, here_normals, a, b, b) / long - _slope(there, there_normals, a, b, b) / far)
-                > _OFF_COSINE
-            ):
-                continue
-            if not (_frame(here, here_normals, a, b, frames[0]) and _frame(there, there_normals, a, b, frames[1])):
-                continue
-            for i in range(3):
-                for j in range(3):
-                    turns[count, i, j] = (
-                        frames[0, i, 0] * frames[1, j, 0]
-                        + frames[0, i, 1] * frames[1, j, 1]
-                        + frames[0, i, 2] * frames[1, j, 2]
-                    )
-            for i in range(3):
-                shift = here[a, i] + here[b, i]
-                for j in range(3):
-                    shift -= turns[count, i, j] * (there[a, j] + there[b, j])
-                shifts[count, i] = shift / 2
-            count += 1
-            if count == most:
-                return count
-    return count
-
-
-@compiled
-def _apart(points: Floats, a: int, b: int) -> float:
-    """Distance of two points."""
-    x, y, z = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-    return float(np.sqrt(x * x + y * y + z * z))
-
-
-@compiled
-def _cosine(normals: Floats, a: int, b: int) -> float:
-    return float(normals[a, 0] * normals[b, 0] + normals[a, 1] * normals[b, 1] + normals[a, 2] * normals[b, 2])
-
-
-@compiled
-def _slope(points: Floats, normals: Floats, a: int, b: int, n: int) -> float:
-    """How far two points are apart along the normal of `n`."""
-    total = 0.0
-    for i in range(3):
-        total += (points[b, i] - points[a, i]) * normals[n, i]
-    return total
-
-
-@compiled
-def _frame(points: Floats, normals: Floats, a: int, b: int, frame: Floats) -> bool:
-    """Fill in the axes (3, 3), columns: from one point to the other, and across it along both normals."""
-    long, along = _apart(points, a, b), 0.0
-    for i in range(3):
-        frame[i, 0] = (points[b, i] - points[a, i]) / long
-        frame[i, 1] = normals[a, i] + normals[b, i]
-        along += frame[i, 0] * frame[i, 1]
-    length = 0.0
-    for i in range(3):
-        frame[i, 1] -= along * frame[i, 0]
-        length += frame[i, 1] ** 2
-    if length < _LEAST_ACROSS**2:
-        return False
-    for i in range(3):
-        frame[i, 1] /= np.sqrt(length)
-    for i in range(3):
-        frame[i, 2] = frame[(i + 1) % 3, 0] * frame[(i + 2) % 3, 1] - frame[(i + 2) % 3, 0] * frame[(i + 1) % 3, 1]
-    return True
 
 
 def _planes(surface: SampledSurface) -> tuple[Floats, Ints]:
