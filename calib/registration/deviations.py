@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from calib.deferred_imports import open3d
 from calib.numerics import Bools, Floats, Ints, in_slices, robust_sigma
-from calib.registration.sampled_surface import SampledSurface
+from calib.registration.sampled_surface import SampledSurface, pair_samples
 
 _BESIDE = 1.5  # cells of the reference along its surface, beyond which it has no surface
 _LIKE = 0.5  # least cosine of both normals
@@ -60,32 +60,24 @@ def from_samples(
     `noise` (S,): standard deviation of a point around each sample.
     `are_oriented`: whether the normals say which side is outside; otherwise the reference does.
     """
-    tree = cKDTree(reference.points)
+    tree, beside = cKDTree(reference.points), _BESIDE * reference.cell
 
     def part(at: slice) -> tuple[Floats, Floats]:
-        some, facing = points[at], normals[at]
-        beside = _BESIDE * reference.cell
-        apart, nearest = tree.query(some, distance_upper_bound=float(np.hypot(reach, beside)), workers=-1)
-        there = np.isfinite(apart)
-        nearest = np.where(there, nearest, 0)
-        own = reference.normals[nearest]
-        cosine = np.sum(own * facing, axis=1)
-        sign = np.where(cosine < 0, -1.0, 1.0)[:, None]
-        if not are_oriented:
-            facing = facing * sign
-        elif not reference.is_oriented:
-            own = own * sign
-        middle = own + facing
-        middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
-        off = some - reference.points[nearest]
-        along = np.sum(off * middle, axis=1)
-        aside = np.sqrt(np.maximum(0.0, np.sum(off**2, axis=1) - along**2))
-        cosine = np.sum(own * facing, axis=1)
-        near = there & (aside < beside) & (np.abs(along) < reach) & (cosine > _LIKE_SAMPLES)
-        variance = noise[nearest] ** 2 / np.maximum(reference.count[nearest], 1)
+        pairs = pair_samples(
+            reference,
+            tree,
+            points[at],
+            normals[at],
+            float(np.hypot(reach, beside)),
+            turn_points=not are_oriented,
+            turn_samples=are_oriented and not reference.is_oriented,
+        )
+        near = np.isfinite(pairs.apart) & (pairs.aside < beside) & (np.abs(pairs.along) < reach)
+        variance = noise[pairs.nearest] ** 2 / np.maximum(reference.count[pairs.nearest], 1)
         # Between planes that are not quite parallel, as beside a crease, the distance depends on where it is measured.
-        variance += (_OF_BEND * aside) ** 2 * np.maximum(0.0, 2 - 2 * cosine) + (_OF_CELL * reference.cell) ** 2
-        return np.where(near, along, np.nan), variance
+        variance += (_OF_BEND * pairs.aside) ** 2 * np.maximum(0.0, 2 - 2 * pairs.cosine)
+        variance += (_OF_CELL * reference.cell) ** 2
+        return np.where(near & (pairs.cosine > _LIKE_SAMPLES), pairs.along, np.nan), variance
 
     parts = in_slices(len(points), _AT_ONCE, part)
     return Deviations(np.concatenate([each for each, _ in parts]), np.concatenate([each for _, each in parts]))

@@ -6,6 +6,7 @@ from unorganized points", 1992).
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -27,6 +28,7 @@ _CREASE, _MOST_CREASES = (
     0.4,
 )  # radians of neighbouring normals; share of samples that have to be away from creases
 _ORIENTED, _ORIENTATION_NEIGHBOURS = 6000, 12
+_FOR_THREADS = 50_000  # points, from which a search in threads is worth it
 _SLOT = 1 << 21  # cells along an axis that a number of a cell has room for
 
 
@@ -128,6 +130,54 @@ def sample_surface(points: Floats, normals: Floats | None, cell: float, noise: f
         found = scattered_surface(means[None].astype(np.float32)).normals[0].astype(np.float64)
         return SampledSurface(means, _oriented(means, found), count, spread, cell, noise, False)
     return SampledSurface(means, directions, count, spread, cell, noise, True)
+
+
+@dataclass(frozen=True, eq=False)
+class SamplePairs:
+    """The nearest samples of a surface to N points with normals."""
+
+    apart: Floats
+    """(N,): distance; infinite beyond the reach of the search, where nothing else has a meaning."""
+    nearest: Ints
+    """(N,): number of the sample."""
+    own: Floats
+    """(N, 3): its normal."""
+    normals: Floats
+    """(N, 3): the mean of both normals, which is exact to the second order where surfaces are curved."""
+    cosine: Floats
+    """(N,): of both normals."""
+    along: Floats
+    """(N,): signed distance along `normals`."""
+    aside: Floats
+    """(N,): distance across them."""
+
+
+def pair_samples(
+    surface: SampledSurface,
+    tree: "cKDTree[Any, Any]",
+    points: Floats,
+    normals: Floats,
+    reach: float,
+    *,
+    turn_points: bool = False,
+    turn_samples: bool = False,
+) -> SamplePairs:
+    """The samples of a surface nearest to points (N, 3) with normals (N, 3), at most `reach` away.
+
+    `turn_points`, `turn_samples`: whose normals, of unknown sign, are turned to the side of the other's.
+    """
+    workers = -1 if len(points) > _FOR_THREADS else 1
+    apart, nearest = tree.query(points, distance_upper_bound=reach, workers=workers)
+    nearest = np.where(np.isfinite(apart), nearest, 0).astype(np.int64)
+    own = surface.normals[nearest]
+    sign = np.where(np.sum(own * normals, axis=1) < 0, -1.0, 1.0)[:, None]
+    own, normals = sign * own if turn_samples else own, sign * normals if turn_points else normals
+    middle = own + normals
+    middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
+    off = points - surface.points[nearest]
+    along = np.sum(off * middle, axis=1)
+    aside = np.sqrt(np.maximum(0.0, np.sum(off**2, axis=1) - along**2))
+    return SamplePairs(np.asarray(apart), nearest, own, middle, np.sum(own * normals, axis=1), along, aside)
 
 
 def extent_of(points: Floats, outside: float = 0.02) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.geometry import Pose
 from calib.numerics import Floats
-from calib.registration.sampled_surface import SampledSurface
+from calib.registration.sampled_surface import SampledSurface, pair_samples
 from calib.registration.surface_fit import BESIDE, LIKE
 from calib.registration.surface_pair import MANY_SAMPLES, ScaledPair, SurfaceSide
 
@@ -65,22 +65,13 @@ def _area_of_sample(some: SampledSurface, whole: SampledSurface) -> float:
 
 def _fates(some: SampledSurface, still: SurfaceSide, pose: Pose, sign: float, sides: ScaledPair) -> tuple[int, int]:
     """How many samples agree with a surface, and how many contradict it."""
-    moved, turned = pose @ some.points, sign * pose.rotate(some.normals)
-    cell, tolerance = still.fine.cell, sides.tolerance
-    apart, nearest = still.tree.query(moved, distance_upper_bound=_FAR * sides.coarse)
-    there = np.isfinite(apart)
-    nearest = np.where(there, nearest, 0)
-    normals = still.fine.normals[nearest]
-    cosine = np.sum(normals * turned, axis=1)
-    middle = normals + turned
-    middle = middle / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
-    off = moved - still.fine.points[nearest]
-    along = np.sum(off * middle, axis=1)
-    beside = there & (np.sqrt(np.maximum(0.0, np.sum(off**2, axis=1) - along**2)) < BESIDE * cell)
-    agree = beside & (np.abs(along) < tolerance) & (cosine > LIKE)
-    against = beside & (np.abs(along) > _FREE * tolerance) & (cosine > _OPPOSITE_SIDE)
+    moved, tolerance = pose @ some.points, sides.tolerance
+    pairs = pair_samples(still.fine, still.tree, moved, sign * pose.rotate(some.normals), _FAR * sides.coarse)
+    beside = np.isfinite(pairs.apart) & (pairs.aside < BESIDE * still.fine.cell)
+    agree = beside & (np.abs(pairs.along) < tolerance) & (pairs.cosine > LIKE)
+    against = beside & (np.abs(pairs.along) > _FREE * tolerance) & (pairs.cosine > _OPPOSITE_SIDE)
     if still.free is not None:
-        against |= ~agree & (apart > _FREE * tolerance) & still.free.is_violated(moved, _FREE * tolerance)
+        against |= ~agree & (pairs.apart > _FREE * tolerance) & still.free.is_violated(moved, _FREE * tolerance)
     return int(np.count_nonzero(agree)), int(np.count_nonzero(against))
 
 

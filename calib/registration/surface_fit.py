@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.geometry import Pose, cross
 from calib.numerics import Floats
-from calib.registration.sampled_surface import SampledSurface
+from calib.registration.sampled_surface import SampledSurface, pair_samples
 from calib.registration.surface_pair import ScaledPair
 
 LIKE = float(np.cos(np.radians(40.0)))  # least cosine of normals of surfaces that coincide
@@ -47,29 +47,11 @@ class PairFit:
     ) -> "PairFit":
         """Pairs of `some` samples of the second surface whose distance is below `reach`."""
         moved, turned = place @ (factor * some.points), sign * place.rotate(some.normals)
-        surface = sides.first.fine
-        beside = BESIDE * surface.cell
-        apart, nearest = sides.first.tree.query(moved, distance_upper_bound=float(np.hypot(reach, beside)))
-        there = np.flatnonzero(np.isfinite(apart))
-        nearest = np.asarray(nearest)[there]
-        first_normals, second_normals = surface.normals[nearest], turned[there]
-        like = np.sum(first_normals * second_normals, axis=1) > LIKE
-        there, nearest = there[like], nearest[like]
-        first_normals, second_normals = first_normals[like], second_normals[like]
-        normals = first_normals + second_normals
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = normals / length
-        off = moved[there] - surface.points[nearest]
-        residual = np.sum(off * normals, axis=1)
-        along = np.sqrt(np.maximum(0.0, np.sum(off**2, axis=1) - residual**2))
-        near = (np.abs(residual) < reach) & (along < beside)
-        return cls(
-            moved[there][near],
-            normals[near],
-            (first_normals / length)[near],
-            (second_normals / length)[near],
-            residual[near],
-        )
+        beside = BESIDE * sides.first.fine.cell
+        pairs = pair_samples(sides.first.fine, sides.first.tree, moved, turned, float(np.hypot(reach, beside)))
+        near = np.isfinite(pairs.apart) & (np.abs(pairs.along) < reach) & (pairs.aside < beside) & (pairs.cosine > LIKE)
+        length = np.linalg.norm(pairs.own + turned, axis=1, keepdims=True)[near]
+        return cls(moved[near], pairs.normals[near], pairs.own[near] / length, turned[near] / length, pairs.along[near])
 
     def stepped(self, place: Pose, factor: float, weight: Floats, *, with_scale: bool) -> tuple[Pose, float]:
         """The pose and the scale after a weighted Gauss–Newton step."""
