@@ -15,10 +15,10 @@ import numpy as np
 
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Floats, Ints, huber_weights, robust_sigma
-from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
+from calib.objects.patch_overlap import overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, ObjectView
 from calib.refinement import ROBUST_SIGMAS
-from calib.registration import couple_poses
+from calib.registration import couple_poses, match_keypoints
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
@@ -152,7 +152,7 @@ def _with_marks(
     surface: PairResiduals, first: ObjectView, second: ObjectView, here: Pose, there: Pose
 ) -> PairResiduals:
     """The residuals with those of the keypoints, which also act along the surface."""
-    own, other = mark_pairs(first, second)
+    own, other = match_keypoints(first.keypoints, second.keypoints)
     points = here @ first.keypoints.points[own]
     others = there @ second.keypoints.points[other]
     near = np.linalg.norm(points - others, axis=1) < 2 * _MARK_GRAINS * first.grain

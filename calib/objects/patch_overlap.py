@@ -64,15 +64,10 @@ def evidence(
     there = overlapping_pixels(second.patches.first(count), first, pose, within)
     here = overlapping_pixels(first.patches.first(count), second, pose.inverse(), within)
     both = np.concatenate([there, here])
-    own, other = mark_pairs(first, second)
+    own, other = match_keypoints(first.keypoints, second.keypoints)
     apart = np.linalg.norm(pose @ second.keypoints.points[other] - first.keypoints.points[own], axis=1)
     return OverlapEvidence(
         int(np.count_nonzero(both >= 0)),
         int(np.count_nonzero((both == THROUGH_FREE_SPACE) | (both == OFF_SURFACE))),
         int(np.count_nonzero(apart < _MARK_GRAINS * first.grain)),
     )
-
-
-def mark_pairs(first: ObjectView, second: ObjectView) -> tuple[Ints, Ints]:
-    """Matching keypoints, (M,) of either view."""
-    return match_keypoints(first.keypoints, second.keypoints)

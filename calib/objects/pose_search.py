@@ -3,20 +3,15 @@
 Descriptors of the surface's shape (FPFH) need detail that smooth things lack. A descent costs some tens of
 microseconds, so it can start from every rotation, judged by the patches that match. The initial translation aligns the
 points where the normals of each view converge.
-
-Most matching keypoints (SIFT: Lowe 2004) are wrong. A rigid motion preserves distances, so right pairs are compatible
-with each other; pairs that are compatible with the same others vote for one pose (Chen et al., "SC²-PCR: a second order
-spatial compatibility for efficient and robust point cloud registration", 2022).
 """
 
 import numpy as np
 
 from calib.geometry import IDENTITY, Pose
-from calib.numerics import Bools, Floats, distinct
+from calib.numerics import Bools, Floats
 from calib.objects.joint import WIDE, align
-from calib.objects.patch_overlap import mark_pairs
 from calib.objects.view import ObjectView
-from calib.registration import Gates, descend, even_rotations, fit_rigid_motion
+from calib.registration import Gates, descend, distinct_poses, even_rotations, voted_poses
 
 _TURNS = 1200  # rotations; any rotation is about 17° from the nearest one
 # Numbers of patches, and distances in grains within which they match: for all descents, and for the best.
@@ -38,22 +33,18 @@ def searched_poses(first: ObjectView, second: ObjectView, most: int, followed: i
     """
     turns = even_rotations(_TURNS)
     starts = Pose(turns, normal_centre(first) - turns @ normal_centre(second))
-    wide = _distinct(_descended(first, second, starts, _WIDELY, _WIDE), first.grain, followed)
-    return _distinct(_descended(first, second, Pose.stack(wide), _CLOSELY, _CLOSE), first.grain, most)
+    wide = _descended(first, second, starts, _WIDELY, _WIDE, followed)
+    close = _descended(first, second, wide, _CLOSELY, _CLOSE, most)
+    return [close[k] for k in range(len(close.translation))]
 
 
-def _descended(first: ObjectView, second: ObjectView, starts: Pose, patches: int, rounds: Floats) -> Pose:
-    """The poses (K,) after the descents, best first."""
+def _descended(first: ObjectView, second: ObjectView, starts: Pose, patches: int, rounds: Floats, most: int) -> Pose:
+    """The best distinct poses (K,) after the descents, best first."""
     # What is not known to be behind a patch counts as free: a pose that puts the thing there is no better for it.
     image = first.image._replace(depth=first.image.near)
     some = second.patches.first(patches)
     poses, worth = descend(image, some, starts, _GATES, first.grain * rounds, normal_centre(first))
-    return poses[np.argsort(-worth)]
-
-
-def _distinct(poses: Pose, grain: float, most: int) -> list[Pose]:
-    chosen = distinct(len(poses.translation), lambda k: are_about_the_same(poses, poses[k], grain), most)
-    return [poses[k] for k in chosen]
+    return poses[distinct_poses(poses, worth, _SAME_TURN, _SAME_GRAINS * first.grain, most)]
 
 
 def are_about_the_same(poses: Pose, reference: Pose, grain: float) -> Bools:
@@ -74,8 +65,6 @@ def normal_centre(view: ObjectView) -> Floats:
 _SEARCHED = 8
 _SOME = 250  # patches
 _COMPATIBLE, _FAR = 1.5, 5.0  # grains: largest difference of distances, and least distance of points
-_SEEDS, _VOTERS, _KEPT = 30, 12, 6
-_FEWEST = 3
 
 
 def suggested_poses(first: ObjectView, second: ObjectView, *, thorough: bool = False) -> list[Pose]:
@@ -85,31 +74,7 @@ def suggested_poses(first: ObjectView, second: ObjectView, *, thorough: bool = F
     """
     if thorough:
         return searched_poses(first, second, THOROUGHLY, THOROUGHLY)
-    own, other = mark_pairs(first, second)
-    by_keypoints = _voted(first.keypoints.points[own], second.keypoints.points[other], first.grain)
+    within, far, alike = _COMPATIBLE * first.grain, _FAR * first.grain, (_SAME_TURN, _SAME_GRAINS * first.grain)
+    by_keypoints = voted_poses(first.keypoints, second.keypoints, within, far, alike)
     rough = [align(first, second, pose, (WIDE, 1.0), _SOME) for pose in (IDENTITY, *by_keypoints)]
     return [*rough, *searched_poses(first, second, _SEARCHED)]
-
-
-def _voted(here: Floats, there: Floats, grain: float) -> list[Pose]:
-    """Of pairs of points (N, 3)."""
-    if len(here) < _FEWEST:
-        return []
-    apart, beyond = (np.linalg.norm(each[:, None] - each, axis=2) for each in (here, there))
-    compatible = (np.abs(apart - beyond) < _COMPATIBLE * grain) & (np.minimum(apart, beyond) > _FAR * grain)
-    first = compatible.astype(np.float32)
-    second = first * (first @ first)
-    found: list[tuple[int, Pose]] = []
-    for seed in np.argsort(-second.sum(axis=1))[:_SEEDS]:
-        voters = np.argsort(-second[seed])[:_VOTERS]
-        voters = np.append(voters[second[seed][voters] > 0], seed)
-        if len(voters) < _FEWEST:
-            continue
-        pose = fit_rigid_motion(here[voters][None], there[voters][None])[0]
-        for _ in range(2):
-            near = np.linalg.norm(pose @ there - here, axis=1) < _COMPATIBLE * grain
-            if np.count_nonzero(near) >= _FEWEST:
-                pose = fit_rigid_motion(here[near][None], there[near][None])[0]
-        if not any(are_about_the_same(pose, better, grain) for _, better in found):
-            found.append((int(np.count_nonzero(near)), pose))
-    return [pose for _, pose in sorted(found, key=lambda each: -each[0])[:_KEPT]]

@@ -13,7 +13,7 @@ from calib.registration.deviations import (
     inflated,
 )
 from calib.registration.free_space import FreeSpace
-from calib.registration.hypotheses import fit_rigid_motion
+from calib.registration.keypoint_votes import fit_rigid_motion, voted_poses
 from calib.registration.keypoints import (
     Keypoints,
     describe_keypoints,
@@ -29,6 +29,7 @@ from calib.registration.keypoints import (
 from calib.registration.outlier_stations import ANOTHER_ROOM, SOMETHING_MOVED
 from calib.registration.plane_step import add_pair, step_pose
 from calib.registration.pose_graph import PairPose, PoseGraph, solve_pose_graph
+from calib.registration.pose_samples import distinct_poses, even_rotations
 from calib.registration.projection import (
     HIDDEN,
     OFF_SURFACE,
@@ -50,7 +51,6 @@ from calib.registration.register import (
     UnregisteredStation,
     register,
 )
-from calib.registration.rotations import even_rotations
 from calib.registration.sampled_surface import (
     SampledSurface,
     extent_of,

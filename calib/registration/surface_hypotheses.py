@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from calib.deferred_imports import open3d
 from calib.geometry import Pose
-from calib.numerics import Bools, Floats, Ints, compiled, distinct
-from calib.registration.hypotheses import poses_by_planes
+from calib.numerics import Bools, Floats, Ints, compiled
 from calib.registration.nearest_field import NearestField, descended, nearest_field, worths
-from calib.registration.rotations import even_rotations
+from calib.registration.plane_poses import poses_by_planes
+from calib.registration.pose_samples import distinct_poses, even_rotations
 from calib.registration.sampled_surface import SampledSurface
 
 _FEATURE_RADII, _FEATURE_NEIGHBOURS = (4.0, 8.0), 100  # cells
@@ -50,17 +50,10 @@ def surface_poses(first: SampledSurface, second: SampledSurface) -> tuple[Pose, 
     turns = even_rotations(_TURNS)
     starts.append(Pose(turns, _middle(first) - turns @ _middle(second)))
     wide, worth = descended(field, patches.some(_SOME).patches, Pose.concatenate(starts), first.cell * _WIDE)
-    chosen = _distinct(wide, worth, first.cell, _FOLLOWED)
+    chosen = distinct_poses(wide, worth, _SAME_TURN, _SAME_CELLS * first.cell, _FOLLOWED)
     close, worth = descended(field, patches.patches, wide[chosen], first.cell * _CLOSE)
-    chosen = _distinct(close, worth, first.cell, _KEPT)
+    chosen = distinct_poses(close, worth, _SAME_TURN, _SAME_CELLS * first.cell, _KEPT)
     return close[chosen], worth[chosen]
-
-
-def _distinct(poses: Pose, worth: Floats, cell: float, most: int) -> list[int]:
-    order = np.argsort(-worth, kind="stable")
-    ordered = poses[order]
-    chosen = distinct(len(order), lambda k: ordered.is_near(ordered[k], _SAME_TURN, _SAME_CELLS * cell), most)
-    return [int(order[k]) for k in chosen]
 
 
 def _most_promising(field: NearestField, patches: SampledSurface, poses: Pose) -> Pose:
@@ -72,7 +65,7 @@ def _most_promising(field: NearestField, patches: SampledSurface, poses: Pose) -
     best = np.argsort(-worth, kind="stable")[:_PROMISING]
     poses = poses[best]
     worth = worths(field, patches.some(_SOME).patches, poses, 2 * _WITHIN * cell)
-    return poses[_distinct(poses, worth, cell, _FOLLOWED)]
+    return poses[distinct_poses(poses, worth, _SAME_TURN, _SAME_CELLS * cell, _FOLLOWED)]
 
 
 def _middle(surface: SampledSurface) -> Floats:
