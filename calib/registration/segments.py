@@ -28,20 +28,27 @@ _FITTED = 4000
 _PARTED = 0.004
 
 
-@dataclass(frozen=True)
-class _Cells:
-    """`centre`, `normal` (N, 3), `tolerance` (N,) and the surface's `area` (N,) of cells of one plane each."""
+@dataclass(frozen=True, eq=False)
+class Facets:
+    """Small pieces of surface."""
 
     centre: Floats
+    """(N, 3)"""
     normal: Floats
+    """(N, 3)"""
     tolerance: Floats
-    area: Floats
+    """(N,): largest distance from the plane that one is on."""
 
     def on(self, plane: Plane) -> Bools:
-        """Which cells (N,) lie on a plane with the same slope."""
+        """Which of them (N,) lie on a plane with the same slope."""
         off: Bools = np.abs(plane.heights(self.centre)) < self.tolerance
         like: Bools = off & (self.normal @ plane.normal > _LIKE_CELL)
         return like
+
+    def plane(self, chosen: Bools) -> Plane:
+        """Through some of them (N,), towards the side of their normals."""
+        centre = self.centre[chosen]
+        return Plane.through(centre, 1 / self.tolerance[chosen] ** 2, centre[0] + self.normal[chosen].sum(axis=0))
 
 
 def relative_noise(points: NDArray[np.float32], normals: NDArray[np.float32]) -> float:
@@ -64,7 +71,7 @@ def find_segments(
     `points`, `normals` (H, W, 3) in the camera's frame, normals towards the camera; `noise` as of `relative_noise`.
     """
     cells = _cells(points, normals, noise)
-    planes = _planes_of(cells)
+    planes = grow_planes(cells, _MOST_PLANES, max(8, _LEAST_SHARE * len(cells.centre)))
     labels = _assigned(points, normals, noise, planes)
     fitted = []
     for label in range(len(planes)):
@@ -78,7 +85,7 @@ def _tolerance(depth: Floats, noise: float) -> Floats:
     return _BENT * depth + _SIGMAS * noise * depth * depth
 
 
-def _cells(points: NDArray[np.float32], normals: NDArray[np.float32], noise: float) -> _Cells:
+def _cells(points: NDArray[np.float32], normals: NDArray[np.float32], noise: float) -> Facets:
     """Cells whose points and normals agree."""
     height, width = points.shape[:2]
     side = max(2, round(width / _CELLS_ACROSS))
@@ -103,18 +110,16 @@ def _cells(points: NDArray[np.float32], normals: NDArray[np.float32], noise: flo
     tolerance = _tolerance(centre[:, 2], noise)
     slant = -np.sum(normal * centre, axis=1) / np.linalg.norm(centre, axis=1)
     good = (straight > _LIKE_CELL) & (rms < tolerance) & (slant > 0.05)
-    area = count[:, 0] * centre[:, 2] ** 2 / np.maximum(slant, 0.05)
-    return _Cells(centre[good], normal[good], tolerance[good], area[good])
+    return Facets(centre[good], normal[good], tolerance[good])
 
 
-def _planes_of(cells: _Cells) -> list[Plane]:
-    """The one with most cells first."""
+def grow_planes(cells: Facets, most_planes: int, fewest: float) -> list[Plane]:
+    """Planes of at least the `fewest` facets, the one with most of them first."""
     rng = np.random.default_rng(0)
-    free = np.ones(len(cells.area), np.bool_)
-    fewest = max(8, _LEAST_SHARE * len(free))
+    free = np.ones(len(cells.centre), np.bool_)
     planes: list[Plane] = []
     failures = 0
-    while len(planes) < _MOST_PLANES and failures < 3 and np.count_nonzero(free) >= fewest:
+    while len(planes) < most_planes and failures < 3 and np.count_nonzero(free) >= fewest:
         best, most = None, 0
         pool = np.flatnonzero(free)
         for seed in rng.choice(pool, min(_SEEDS, len(pool)), replace=False):
@@ -125,13 +130,13 @@ def _planes_of(cells: _Cells) -> list[Plane]:
         if best is None or most < fewest:
             failures += 1
             continue
-        planes.append(Plane.through(cells.centre[best], 1 / cells.tolerance[best] ** 2))
+        planes.append(cells.plane(best))
         free &= ~cells.on(planes[-1])
         free &= ~best
     return planes
 
 
-def _grown(cells: _Cells, free: Bools, seed: int) -> Bools:
+def _grown(cells: Facets, free: Bools, seed: int) -> Bools:
     """Free cells (N,) on the plane that grows from a seed."""
     plane = Plane(cells.normal[seed], float(cells.normal[seed] @ cells.centre[seed]))
     # The first step reaches only as far as a single cell's normal is reliable.
@@ -140,7 +145,7 @@ def _grown(cells: _Cells, free: Bools, seed: int) -> Bools:
     for _ in range(_ROUNDS):
         if np.count_nonzero(inlier) < 4:
             break
-        plane = Plane.through(cells.centre[inlier], 1 / cells.tolerance[inlier] ** 2)
+        plane = cells.plane(inlier)
         again: Bools = free & cells.on(plane)
         if np.array_equal(again, inlier):
             break

@@ -18,6 +18,7 @@ from calib.registration.nearest_field import NearestField, descended, nearest_fi
 from calib.registration.plane_poses import poses_by_planes
 from calib.registration.pose_samples import distinct_poses, even_rotations
 from calib.registration.sampled_surface import SampledSurface
+from calib.registration.segments import Facets, grow_planes
 
 _FEATURE_RADII, _FEATURE_NEIGHBOURS = (4.0, 8.0), 100  # cells
 _MATCHED, _MATCHES = 400, 3  # points of the second surface; matches of each
@@ -31,8 +32,8 @@ _WIDE = np.array([5.0, 5.0, 4.0, 4.0, 3.0, 3.0, 2.0, 2.0])  # cells
 _CLOSE = np.array([2.0, 1.5, 1.5, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5])
 _WITHIN = 1.0
 _SAME_TURN, _SAME_CELLS = np.radians(4.0), 3.0
-_PLANES, _PLANE_SEEDS, _LEAST_PLANE = 12, 300, 0.02  # the last as a share of the samples
-_PLANE_COSINE = float(np.cos(np.radians(12.0)))
+_PLANES, _PLANE_SAMPLES, _LEAST_PLANE = 12, 4000, 0.02  # the last as a share of the samples
+_OFF_PLANE = 0.6  # cells
 
 
 def surface_poses(first: SampledSurface, second: SampledSurface) -> tuple[Pose, Floats]:
@@ -158,33 +159,8 @@ def _features(surface: SampledSurface, radius: float) -> NDArray[np.float32]:
 
 def _planes(surface: SampledSurface) -> tuple[Floats, Ints]:
     """The largest planes (P, 4), normals and offsets n · x, and the samples on each, (P,)."""
-    rng = np.random.default_rng(0)
-    free = np.ones(len(surface), np.bool_)
-    planes: list[list[float]] = []
-    areas: list[int] = []
-    for _ in range(_PLANES):
-        left = np.flatnonzero(free)
-        if len(left) < 3:
-            break
-        seeds = rng.choice(left, min(_PLANE_SEEDS // (1 + len(planes) // 4), len(left)), replace=False)
-        points, normals = surface.points[left], surface.normals[left]
-        offset = np.sum(surface.points[seeds] * surface.normals[seeds], axis=1)
-        on = (np.abs(points @ surface.normals[seeds].T - offset) < 0.6 * surface.cell) & (
-            normals @ surface.normals[seeds].T > _PLANE_COSINE
-        )
-        best = on[:, int(np.argmax(np.count_nonzero(on, axis=0)))]
-        if np.count_nonzero(best) < max(12, _LEAST_PLANE * len(surface)):
-            break
-        for _ in range(2):
-            middle, normal = points[best].mean(axis=0), normals[best].mean(axis=0)
-            spread = np.linalg.eigh((points[best] - middle).T @ (points[best] - middle))[1][:, 0]
-            normal = spread if spread @ normal > 0 else -spread
-            best = (np.abs((points - middle) @ normal) < 0.6 * surface.cell) & (normals @ normal > _PLANE_COSINE)
-            if not best.any():
-                break
-        if not best.any():
-            break
-        planes.append([*normal, normal @ middle])
-        areas.append(int(np.count_nonzero(best)))
-        free[left[best]] = False
-    return np.reshape(planes, (-1, 4)).astype(np.float64), np.array(areas, np.int64)
+    some = surface.some(_PLANE_SAMPLES)
+    facets = Facets(some.points, some.normals, np.full(len(some), _OFF_PLANE * surface.cell))
+    planes = grow_planes(facets, _PLANES, max(12, _LEAST_PLANE * len(some)))
+    areas = [np.count_nonzero(facets.on(plane)) for plane in planes]
+    return np.array([[*plane.normal, plane.offset] for plane in planes]).reshape(-1, 4), np.array(areas, np.int64)
