@@ -9,6 +9,7 @@ A result is left in `out`, whole or not at all; also after RefusalError, with th
 
 import re
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 from calib.diagnostics import Uncertainty
@@ -153,8 +154,15 @@ def calibrate(
     One of them may be a calibration from boards: the estimate is then one over both. Where they show no corner, three
     or more calibrate by what they share. Raises InputError, RefusalError.
     """
-    from scanner.objects import calibrate_without_corner  # slow to import, and no other job needs it
+    captures, config = read_to_calibrate(matches, config, terminal)
+    return calibrate_captures(captures, config, out, overwrite=overwrite, terminal=terminal)
 
+
+def read_to_calibrate(matches: Sequence[Path], config: Config, terminal: Terminal) -> tuple[list[Decoded], Config]:
+    """The captures among what `calibrate` is given, and the configuration with the calibration among it.
+
+    Raises InputError, also if no calibration of them is possible.
+    """
     config.principal_point(config.camera_size)
     width, height = config.camera_size
     cloud = f"a cloud and a report for a camera of {width} × {height} pixels"
@@ -166,8 +174,21 @@ def calibrate(
         raise InputError(f"{known[0]}: expected captures of a corner to join with this calibration, found none")
     config = config.model_copy(update={"earlier": known})
     refuse_impossible(config, len(captures))
-    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
-        without_corner = None if known else calibrate_without_corner
+    return captures, config
+
+
+def calibrate_captures(
+    captures: Sequence[Decoded], config: Config, out: Path | None, *, overwrite: bool = False, terminal: Terminal
+) -> Scan:
+    """Calibrate from what `read_to_calibrate` returns, and reconstruct; without `out`, nothing is written.
+
+    Raises InputError, RefusalError.
+    """
+    from scanner.objects import calibrate_without_corner  # slow to import, and no other job needs it
+
+    without_corner = None if config.earlier else calibrate_without_corner
+    kept = nullcontext() if out is None else new_result(out, config, overwrite=overwrite, tell=terminal.note)
+    with kept as folder:
         return reconstruct(captures, config, folder, terminal, without_corner=without_corner)
 
 

@@ -13,12 +13,11 @@ from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR, SHARED, KnownRig
 from calib.refusal import RefusalError
 from calib.scene import LineTest, compare_with_lines
-from scanner.comparing import CalibrationComparison, compare_files, comparison_verdict
+from scanner.comparing import CalibrationComparison, NamedCalibration, compare_calibrations, comparison_verdict
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
-from scanner.jobs import calibrate, scan
-from scanner.reconstruction import read_captures
+from scanner.jobs import calibrate_captures, read_to_calibrate, scan
 from scanner.results import Scan, Verdict, calibration_file, read_uncertainty
 from scanner.rooms import state_of
 from scanner.ui import Terminal
@@ -55,19 +54,21 @@ class CalibrationCheck:
 
 
 def check_calibration(
-    given: Path, captures: Sequence[Path], config: Config, out: Path, terminal: Terminal
+    given: Path, captures: Sequence[Path], config: Config, out: Path | None, terminal: Terminal
 ) -> CalibrationCheck:
-    """Calibrate from captures of a corner, or three or more of anything, into `out`, and compare with a given file.
+    """Calibrate from captures of a corner, or three or more of anything, and compare with a given file.
 
-    Captures that determine no calibration still tell whether rays meet. Raises InputError.
+    What they say is a result in `out`, if that is given. Captures that determine no calibration still tell whether rays
+    meet. Raises InputError.
     """
     file = calibration_file(given)
     calibration = read_calibration(file)
     stated = read_uncertainty(file, calibration)
+    decoded, settings = read_to_calibrate(captures, config, terminal)
     try:
-        scan = calibrate(captures, config, out, terminal=terminal)
+        scan = calibrate_captures(decoded, settings, out, terminal=terminal)
     except RefusalError as refusal:
-        matches = tuple(capture.matches for capture in read_captures([out], *calibration.sizes))  # kept also then
+        matches = tuple(capture.matches for capture in decoded)
         test = compare_with_lines(calibration, stated, matches, LINE_MATCHES)
         verdict = _verdict_by_lines(test, refusal)
         return CalibrationCheck(calibration, stated, matches, None, test, test.change, None, verdict)
@@ -76,7 +77,10 @@ def check_calibration(
         raise InputError("'method: paper' states no uncertainty to judge a calibration by: use 'method: refined'")
     matches = tuple(capture.decoded.matches for capture in scan.captures)
     test = compare_with_lines(calibration, stated, matches, LINE_MATCHES)
-    comparison = compare_files(file, out)
+    comparison = compare_calibrations(
+        NamedCalibration(str(file), calibration, stated, lambda: None),
+        NamedCalibration("the captures' own", scan.newest.calibration, estimate, lambda: matches[-1]),
+    )
     state, covariance = state_of(calibration), np.zeros((SHARED, SHARED)) if stated is None else stated.covariance
     rig = KnownRig(state, covariance + estimate.covariance)
     step = rig.step_to(estimate.rig)

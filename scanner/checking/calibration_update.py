@@ -19,7 +19,7 @@ from scanner.checking.calibration_check import LINE_MATCHES, CalibrationCheck
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, new_files, write_calibration
-from scanner.jobs import calibrate
+from scanner.jobs import calibrate_captures, read_to_calibrate
 from scanner.results import (
     KINDS,
     SelfCalibrated,
@@ -121,7 +121,8 @@ def _estimated(
     path = folder / "prior.yaml"
     write_calibration(path, check.calibration, covariance_entries(prior))
     without_scale = config.model_copy(update={"scale": None})
-    joint = calibrate([path, *captures], without_scale, folder / "joint", terminal=tell).newest
+    decoded, settings = read_to_calibrate([path, *captures], without_scale, tell)
+    joint = calibrate_captures(decoded, settings, None, terminal=tell).newest
     assert joint.uncertainty is not None
     return _in_unit_of(check.calibration, joint.calibration), joint.uncertainty
 

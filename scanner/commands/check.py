@@ -74,9 +74,8 @@ def _check_calibration(args: CheckCommand) -> int:
     terminal = Terminal(quiet=args.quiet)
     config = args.settings.load() if args.settings.config else config_of(args.calibration, args.settings.set)
     with TemporaryDirectory(prefix="scan-check-") as temporary:
-        out = args.out or Path(temporary) / "check"
         captures = args.captures or [take_capture(config, Path(temporary) / "capture", terminal)]
-        check = check_calibration(args.calibration, captures, config, out, terminal)
+        check = check_calibration(args.calibration, captures, config, args.out, terminal)
         verdict = check.verdict
         if check.comparison is not None:
             terminal.show(table(check.comparison))

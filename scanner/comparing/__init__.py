@@ -1,6 +1,12 @@
 """Comparison of calibrations and of surfaces, where they differ and by how many sigmas; and clouds in one frame."""
 
-from scanner.comparing.comparison import CalibrationComparison, Sheet, compare_files
+from scanner.comparing.comparison import (
+    CalibrationComparison,
+    NamedCalibration,
+    Sheet,
+    compare_calibrations,
+    compare_files,
+)
 from scanner.comparing.page import COMPARE_FILE, COMPARE_PAGE, write_compare, write_compare_page
 from scanner.comparing.registering import (
     REGISTER_FILE,

@@ -1,12 +1,13 @@
 """Two calibration files → where they differ."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from calib.diagnostics import Difference, SystematicErrors, compare
+from calib.diagnostics import Difference, SystematicErrors, Uncertainty, compare
 from calib.geometry import Calibration, Matches, Size, intersect
 from calib.numerics import Floats
 from scanner.errors import InputError
@@ -20,6 +21,26 @@ _MOST_MATCHES = 20_000
 _QUANTILES = (0.1, 0.5, 0.9)  # of a scene's depths
 _AROUND, _USUAL_BASELINES = (0.7, 1.0, 1.4), 6.0
 _PLAUSIBLE_BASELINES = (2.0, 40.0)
+
+
+@dataclass(frozen=True, eq=False)
+class NamedCalibration:
+    """A calibration to compare with another."""
+
+    name: str
+    """What it is called."""
+    calibration: Calibration
+    uncertainty: Uncertainty | None
+    """Its covariance, if it states one."""
+    matches: Callable[[], Matches | None]
+    """Those of its scene, if it has one."""
+
+    @property
+    def errors(self) -> SystematicErrors:
+        """Of its rig. Raises InputError if its unit is no unit of length."""
+        if self.calibration.unit != UNKNOWN_UNIT:
+            metres_per(self.calibration.unit)
+        return rig_errors(self.calibration, self.uncertainty)
 
 
 @dataclass(frozen=True)
@@ -53,34 +74,42 @@ class CalibrationComparison:
 
 
 def compare_files(first: Path, second: Path, depths: Sequence[str] = ()) -> CalibrationComparison:
-    """Compare files or result folders; `depths` are lengths as text, by default some of the scene's.
+    """Compare files or result folders as `compare_calibrations` does. Raises InputError."""
+    return compare_calibrations(_read(first), _read(second), depths)
+
+
+def compare_calibrations(
+    first: NamedCalibration, second: NamedCalibration, depths: Sequence[str] = ()
+) -> CalibrationComparison:
+    """Compare two calibrations; `depths` are lengths as text, by default some of the first one's scene.
 
     Lengths are in the first one's unit; if only the second one has a known length, it comes first. Raises InputError.
     """
-    one, other = _read(first), _read(second)
-    if one.calibration.unit == UNKNOWN_UNIT != other.calibration.unit:
-        first, second, one, other = second, first, other, one
-    sizes = other.calibration.sizes, one.calibration.sizes
-    refuse_other_sizes(second, *sizes, f"that of {first}", ": these are two rigs")
+    if first.calibration.unit == UNKNOWN_UNIT != second.calibration.unit:
+        first, second = second, first
+    sizes = second.calibration.sizes, first.calibration.sizes
+    refuse_other_sizes(second.name, *sizes, f"that of {first.name}", ": these are two rigs")
+    both = f"{first.name} and {second.name}"
+    one, other = first.errors, second.errors
     units = [each.calibration.unit for each in (one, other)]
     metric = UNKNOWN_UNIT not in units
     if metric:
         other = _in_unit(other, metres_per(units[1]) / metres_per(units[0]), units[0])
     grid = _grid(one.calibration.camera.size)
-    at = np.array([parse_length(text, units[0]) for text in depths]) if depths else _depths(first, one.calibration)
+    at = np.array([parse_length(text, units[0]) for text in depths]) if depths else _depths(first)
     try:
         found = compare(one, other, grid.reshape(-1, 2), at, metric=metric)
     except ValueError as error:
         raise InputError(
-            f"{first} and {second} cannot be compared: {error}; expected standard deviations that a rig can have"
+            f"{both} cannot be compared: {error}; expected standard deviations that a rig can have"
         ) from error
     if found is None:
         raise InputError(
-            f"{first} and {second} see next to nothing in common at depths of {', '.join(f'{d:.3g}' for d in at)} "
+            f"{both} see next to nothing in common at depths of {', '.join(f'{d:.3g}' for d in at)} "
             f"{units[0]}: they are not of one rig, or --depths is far from where both devices see"
         )
     return CalibrationComparison(
-        (str(first), str(second)),
+        (first.name, second.name),
         (one.known, other.known),
         units[0],
         metric,
@@ -91,12 +120,11 @@ def compare_files(first: Path, second: Path, depths: Sequence[str] = ()) -> Cali
     )
 
 
-def _read(path: Path) -> SystematicErrors:
+def _read(path: Path) -> NamedCalibration:
     file = calibration_file(path)
     calibration = read_calibration(file)
-    if calibration.unit != UNKNOWN_UNIT:
-        metres_per(calibration.unit)  # raises if it is no unit of length
-    return rig_errors(calibration, read_uncertainty(file, calibration))
+    matches = partial(read_matches, path) if (path / MATCHES_FILE).is_file() else lambda: None
+    return NamedCalibration(str(path), calibration, read_uncertainty(file, calibration), matches)
 
 
 def _in_unit(errors: SystematicErrors, factor: float, unit: str) -> SystematicErrors:
@@ -116,12 +144,10 @@ def _grid(size: Size) -> Floats:
     return np.stack(np.meshgrid(x, y), axis=-1)
 
 
-def _depths(path: Path, calibration: Calibration) -> Floats:
-    """Return the depths of the scene where the result has a scene; else depths around the intersection of the two
-    centre rays.
-    """
-    if (path / MATCHES_FILE).is_file():
-        matches = read_matches(path)
+def _depths(of: NamedCalibration) -> Floats:
+    """Return the depths of the scene where there is one; else depths around the intersection of the two centre rays."""
+    calibration, matches = of.calibration, of.matches()
+    if matches is not None:
         met = intersect(matches[:: max(1, len(matches) // _MOST_MATCHES)], calibration)
         if met.in_front.any():
             scene: Floats = np.quantile(met.points[met.in_front, 2], _QUANTILES)

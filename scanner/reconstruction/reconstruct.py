@@ -33,7 +33,7 @@ OnCloud = Callable[[Scan], object]  # called with the clouds once they exist, wh
 def reconstruct(
     captures: Sequence[Decoded],
     config: Config,
-    folder: Path,
+    folder: Path | None,
     progress: Progress,
     *,
     masks: Bools | None = None,
@@ -41,7 +41,7 @@ def reconstruct(
     without_corner: WithoutCorner | None = None,
     on_cloud: OnCloud | None = None,
 ) -> Scan:
-    """Calibrate, triangulate, and write the result into `folder`; `masks` are of the newest capture.
+    """Calibrate, triangulate, and write the result into `folder`, if there is one; `masks` are of the newest capture.
 
     `given`: a calibration and its covariance, used instead of calibrating. `without_corner`: how captures without a
     corner are calibrated. Raises RefusalError.
@@ -66,6 +66,8 @@ def reconstruct(
                     scan = Scan(triangulate(shared, reached, progress), own_findings=findings)
                 else:
                     scan = _merged(calibrated, triangulate(calibrated, reached, progress), config, progress)
+        if folder is None:
+            return scan
         with progress.step("Writing the result"), in_background(on_cloud or _ignore) as tell:
             tell(scan)
             save(scan, folder, config, matches)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from calib.diagnostics import PoseErrors
 from calib.finding import Finding, FindingKind, Severity, of_kinds
@@ -70,9 +70,11 @@ def set_aside(captures: Sequence[Decoded], folder: Path) -> None:
 
 
 class EarlyMatches:
-    """Writes the matches of a result's only capture during its calibration, which does not change them."""
+    """Writes the matches of a result's only capture during its calibration, which does not change them; none if
+    nothing is to be kept.
+    """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         # The calibration comes first; what it leaves of the processors is enough, because much of it runs on one.
         self._thread = ThreadPoolExecutor(1, "matches", initializer=os.nice, initargs=(_PATIENCE,))
@@ -86,7 +88,7 @@ class EarlyMatches:
 
     def begin(self, captures: Sequence[Decoded]) -> None:
         """Write them, if it is one capture."""
-        if len(captures) == 1:
+        if self._folder is not None and len(captures) == 1:
             (alone,) = captures
             self._begun = alone, self._thread.submit(_write_matches, self._folder, alone)
 
@@ -106,11 +108,12 @@ def _write_matches(place: Path, capture: Decoded) -> None:
 
 @contextmanager
 def refusal_saved(
-    captures: Sequence[Decoded], folder: Path, config: Config, matches: EarlyMatches | None = None
+    captures: Sequence[Decoded], folder: Path | None, config: Config, matches: EarlyMatches | None = None
 ) -> Iterator[list[Stage]]:
     """Yield a list in which the block notes the stage of each capture.
 
-    After a RefusalError in the block, these stages are written into a result folder, without calibration or cloud.
+    After a RefusalError in the block, these stages are written into a result folder, if there is one, without
+    calibration or cloud.
     """
     reached: list[Stage] = [*captures]
     try:
@@ -118,7 +121,8 @@ def refusal_saved(
     except RefusalError as refusal:
         named = _refused_for_darkness(refusal, [decoded_of(stage) for stage in reached])
         _log(findings_on(reached[-1]))
-        _save([Refused(stage, named) for stage in reached], folder, provenance(folder, config), matches)
+        if folder is not None:
+            _save([Refused(stage, named) for stage in reached], folder, provenance(folder, config), matches)
         if named is refusal:
             raise
         raise named from refusal
@@ -187,7 +191,7 @@ def _pose_errors(captures: Sequence[Reconstructed | Refused], merged: MergedClou
     motions = []
     for pose in merged.from_cameras:
         turned, moved = -pose.rotation, -float(np.linalg.norm(pose.inverse().translation)) * pose.rotation
-        motions.append(block_diag(turned, moved))
+        motions.append(scipy.linalg.block_diag(turned, moved))
     errors = PoseErrors.from_joint(solution.corners_covariance, motions)
     return pose_error_entries(errors, solution.calibration.pose.translation)
 

@@ -28,7 +28,7 @@ def told(
     given = replace(truth, projector=replace(truth.projector, focal_px=(width, width)), pose=pose)
     write_calibration(tmp_path / "given.yaml", given)
     config = config_of(tmp_path / "given.yaml")
-    check = check_calibration(tmp_path / "given.yaml", captures, config, tmp_path / "out", Terminal(quiet=True))
+    check = check_calibration(tmp_path / "given.yaml", captures, config, None, Terminal(quiet=True))
     return check.verdict.grade, check.verdict.reasons[0]
 
 
