@@ -26,8 +26,7 @@ help:
 
 # Installing waits for the network and the compiler for the processor: side by side.
 setup: $(VENV)/.core
-	@$(MAKE) --no-print-directory --jobs 2 $(VENV)/.runtime $(VENV)/.compiled
-	@$(MAKE) --no-print-directory $(VENV)/.console
+	@$(MAKE) --no-print-directory --jobs 2 $(VENV)/.console $(VENV)/.compiled
 
 # What a scan does not need, Open3D and the packages of scan view and scan console, is installed when the result is there.
 scan: $(VENV)/.core $(VENV)/.compiled
@@ -70,12 +69,22 @@ try-browser:
 		echo "* scan view and scan console will be SKIPPED.                                 *"; \
 		echo "*******************************************************************************"; }
 
-# What is checked needs one processor of two while the tests run.
+# Python's packages, Debian's and the compiler wait for different things, and what is checked needs one processor of two
+# while the tests run.
 test: $(VENV)/.core
-	@$(MAKE) --no-print-directory --jobs 2 $(VENV)/.dev $(VENV)/.compiled
-	@$(MAKE) --no-print-directory --jobs 3 lint try-rig bytecode
-	@$(MAKE) --no-print-directory try-browser
-	@$(MAKE) --no-print-directory --jobs 2 unit check-types
+	@$(MAKE) --no-print-directory --jobs 3 $(VENV)/.dev $(VENV)/.compiled try-system
+	@$(MAKE) --no-print-directory --jobs 2 try-rig bytecode
+	@$(MAKE) --no-print-directory --jobs 2 unit checks
+
+# What try-rig needs as well, which says so if it cannot be had.
+.PHONY: try-system
+try-system: try-browser | $(VENV)/.core
+	@tools/system-packages $(BIN)/python > /dev/null 2>&1 || true
+
+.PHONY: checks
+checks:
+	@$(MAKE) --no-print-directory lint
+	@$(MAKE) --no-print-directory check-types
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -127,16 +136,12 @@ install   = $(pip) --editable '.$(1)' && rm -rf $(COPIES)
 a-copy:
 
 # All but Open3D, which takes as long as all the rest and which few commands need: enough to compile and to scan with.
+# What is installed later brings it, each in one go with what else it needs.
 $(VENV)/.core: pyproject.toml $(if $(COPIES),a-copy) | $(BIN)/pip
 	$(BIN)/python -c 'import tomllib; print(*(package for package in tomllib.load(open("pyproject.toml", "rb"))["project"] \
 		["dependencies"] if not package.startswith("open3d")), sep="\n")' > $(VENV)/core.txt
 	$(pip) --requirement $(VENV)/core.txt
 	$(pip) --no-deps --editable . && rm -rf $(COPIES)
-	@touch $@
-
-$(VENV)/.runtime: pyproject.toml $(if $(COPIES),a-copy) | $(VENV)/.core
-	$(call install,)
-	@tools/system-packages --open3d || echo "Everything but scan room works without them."
 	@touch $@
 
 # Machine code is kept for each file, in the user's cache folder, so a change costs only what it touches. Earlier versions
@@ -149,13 +154,14 @@ $(VENV)/.compiled: $(shell grep -rl '^@compiled' calib hw scanner --include=*.py
 $(VENV)/.dev: pyproject.toml | $(VENV)/.core
 	$(call install,[dev])
 	@tools/system-packages --open3d || echo "Everything but scan room works without them; its tests will be SKIPPED."
-	@touch $@ $(VENV)/.runtime
-
-$(VENV)/.console: pyproject.toml | $(VENV)/.runtime
-	$(call install,[console])
 	@touch $@
 
-$(VENV)/.rig: pyproject.toml tools/system-packages | $(VENV)/.runtime
+$(VENV)/.console: pyproject.toml | $(VENV)/.core
+	$(call install,[console])
+	@tools/system-packages --open3d || echo "Everything but scan room works without them."
+	@touch $@
+
+$(VENV)/.rig: pyproject.toml tools/system-packages | $(VENV)/.core
 	@tools/system-packages $(BIN)/python
 	$(call install,[rig])
 	@touch $@
