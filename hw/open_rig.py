@@ -6,6 +6,7 @@ A simulated rig moves by itself, any other is moved by a person.
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from calib.geometry import SQUARE_PIXELS, Calibration, PixelGrid, Pose
 from hw.backends import RigSettings
@@ -13,9 +14,10 @@ from hw.errors import DeviceError
 from hw.real_devices import Pair, PairSettings, RealDevices
 from hw.rig import Rig
 from hw.settings import CameraRigSettings, SimulatedRigSettings
-from hw.simulated.rig import Scenery, SimulatedCamera, SimulatedProjector
-from hw.simulated.simulation import SimulatedRoom
-from hw.simulated.things import SimulatedThing, Solid
+
+if TYPE_CHECKING:
+    from hw.simulated import Scenery
+    from hw.simulated.things import Solid
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class OpenedRig:
     rig: Rig
     truth: Calibration | None
     place: Pose | None = None
-    thing: Solid | None = None
+    thing: "Solid | None" = None
     others: tuple["OpenedRig", ...] = ()
 
     @property
@@ -106,6 +108,9 @@ def open_network(pairs: Mapping[Pair, PairSettings[RigSettings]]) -> Iterator[Op
 def _simulated(
     settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int], grid: PixelGrid
 ) -> OpenedRig:
+    from hw.simulated import SimulatedRoom  # draws, which real devices need not
+    from hw.simulated.things import SimulatedThing
+
     true_size = settings.grid.square_size(grid.device_size(projector_size))
     if settings.thing.kind != "none":
         thing = SimulatedThing(settings, camera_size, true_size)
@@ -114,7 +119,9 @@ def _simulated(
     return OpenedRig(_rig_before(room, grid), room.calibration, room.place)
 
 
-def _rig_before(room: Scenery, grid: PixelGrid) -> Rig:
+def _rig_before(room: "Scenery", grid: PixelGrid) -> Rig:
+    from hw.simulated import SimulatedCamera, SimulatedProjector
+
     settings, projector = room.settings, SimulatedProjector(room, grid)
     identity = {"backend": "simulated", "seed": str(settings.seed), "pose": str(settings.pose)}
     return Rig(projector, SimulatedCamera(room, projector), identity, settings.refresh_hz)

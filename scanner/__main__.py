@@ -1,14 +1,20 @@
 """`python -m scanner` is the command `scan`."""
 
+import gc
 import signal
 import sys
 
 from scanner.interruption import end_at_once, on_ending
 
+_OBJECTS = (
+    50_000  # made before the garbage collector looks at them: what is loaded stays, and looking took a sixth of it
+)
+
 
 def run() -> int:
     """The whole process, whose exit code is returned: not even while modules are loaded has Ctrl-C a traceback."""
     on_ending(end_at_once)
+    gc.set_threshold(_OBJECTS)
     from scanner.commands.main import main
 
     code = main()

@@ -7,7 +7,7 @@ exactly square corner.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from calib.closed_form.transfer import Transfer, image_of_corner, intrinsic_matrices, transfer
 from calib.geometry import FACES, CornerImage, FaceGrams, Matches, face_grams, homogeneous
@@ -122,7 +122,7 @@ def bounded_search(objective: Objective, focal_px: Floats, values: Floats) -> fl
     candidates = [(float(values[i]), float(focal_px[i])) for i in minima]
     for i in minima:
         bounds = (float(focal_px[max(i - 1, 0)]), float(focal_px[min(i + 1, len(focal_px) - 1)]))
-        result = minimize_scalar(
+        result = scipy.optimize.minimize_scalar(
             # Brent's parabola needs finite values: a large number stands for "no corner here".
             lambda focal: min(float(exact_search(objective, np.array([focal]))[0]), 1e9),
             bounds=bounds,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from calib.diagnostics.degeneracy import one_plane, reasons_in_images, reasons_in_space
 from calib.diagnostics.next_best_view import best_next_view
@@ -230,7 +230,7 @@ def _refuse_misfit(refinement: Refinement, words: Wording) -> None:
 
 def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
     worst = _skewest(refinement)
-    if refinement.tension > float(chdtri(refinement.fit.state.off_square.size, 1 - _SIGNIFICANT)):
+    if refinement.tension > float(scipy.special.chdtri(refinement.fit.state.off_square.size, 1 - _SIGNIFICANT)):
         angles = "" if knowledge.squareness_deg == 0 else f" (they seem to be off by {named_angles(worst)})"
         raise RefusalError(
             NOT_SQUARE,

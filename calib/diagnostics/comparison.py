@@ -7,7 +7,7 @@ removed from differences and sigmas, and the best scale if a length is not known
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from calib.diagnostics.error_propagation import SystematicErrors
 from calib.geometry import Calibration, Matches, cross, intersect
@@ -45,7 +45,7 @@ class Difference:
     @property
     def limit(self) -> float:
         """The 99.9 % quantile of `chi2`."""
-        return float(chdtri(self.freedom, 1 - _SIGNIFICANT)) if self.freedom else 0.0
+        return float(scipy.special.chdtri(self.freedom, 1 - _SIGNIFICANT)) if self.freedom else 0.0
 
     @property
     def agree(self) -> bool:

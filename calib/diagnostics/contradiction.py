@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from calib.diagnostics.uncertainty import Uncertainty
 from calib.finding import FindingKind
@@ -83,7 +83,7 @@ def refuse_changed_rig(alone: Mapping[int, Uncertainty]) -> None:
     Raises ContradictionError for the two that differ most, if chance does not explain that (0.9999). Priors count in
     both covariances, as if they were independent, so that differences are rather taken for smaller than they are.
     """
-    limit = float(chdtri(SHARED, 1 - _SIGNIFICANT))
+    limit = float(scipy.special.chdtri(SHARED, 1 - _SIGNIFICANT))
     worst: tuple[float, int, int, RigChange] | None = None
     for (first, one_fit), (second, another_fit) in combinations(alone.items(), 2):
         covariance = one_fit.covariance + another_fit.covariance
@@ -138,7 +138,7 @@ def explain_change(step: Floats, precision: Floats) -> RigChange:
 
     Most parameters are known too little by themselves for a difference to show; their combination is not.
     """
-    limit = float(chdtri(SHARED, 1 - _SIGNIFICANT))
+    limit = float(scipy.special.chdtri(SHARED, 1 - _SIGNIFICANT))
     pull = precision @ step
     cost = float(step @ pull)
     changes = []
@@ -169,7 +169,7 @@ def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
     white = (directions[:, both] / np.sqrt(reduction[both])).T @ inverse
     widths = np.linalg.eigvalsh(np.eye(int(both.sum())) + white @ systematic @ white.T)
     factor = float(np.sum(widths**2) / np.sum(widths))
-    return factor * float(chdtri(float(np.sum(widths)) ** 2 / float(np.sum(widths**2)), 1 - _SIGNIFICANT))
+    return factor * float(scipy.special.chdtri(float(np.sum(widths)) ** 2 / float(np.sum(widths**2)), 1 - _SIGNIFICANT))
 
 
 def _amount(amount: float, unit: str) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from calib.diagnostics.spatial_errors import smooth_error_px, smooth_modes
 from calib.diagnostics.uncertainty import Uncertainty, moved_calibration
@@ -98,8 +98,8 @@ def _root(variance: float) -> float:
 def stacked(spreads: Sequence[Spread]) -> Spread:
     """The errors of several measurements that share only the systematic sources."""
     return Spread(
-        block_diag(*(spread.scatter for spread in spreads)),
-        block_diag(*(spread.smooth for spread in spreads)),
+        scipy.linalg.block_diag(*(spread.scatter for spread in spreads)),
+        scipy.linalg.block_diag(*(spread.smooth for spread in spreads)),
         np.concatenate([spread.systematic for spread in spreads]),
     )
 
@@ -231,7 +231,7 @@ def spread_of_points(matches: Matches, errors: SystematicErrors, sigma_px: Float
     """Errors of the coordinates of triangulated points, point by point (3 N,); `sigma_px` (N,) of their matches."""
     by_sigma = by_projector_px(matches, errors.calibration, np.full(len(matches), _STEP_PX)) * sigma_px[:, None, None]
     points = intersect(matches, errors.calibration).points
-    scatter = block_diag(*np.einsum("nia,nja->nij", by_sigma, by_sigma))
+    scatter = scipy.linalg.block_diag(*np.einsum("nia,nja->nij", by_sigma, by_sigma))
     systematic = errors.of_points(matches, points).reshape(3 * len(matches), -1)
     return Spread(scatter, np.zeros_like(scatter), systematic)
 
@@ -288,7 +288,7 @@ def spread_of_vertex(planes: Sequence[FittedPlane], spreads: Sequence[Spread]) -
     normals = np.stack([plane.normal for plane in planes])
     vertex: Floats = np.linalg.solve(normals, np.array([plane.offset for plane in planes]))
     rises = [np.append(plane.tangents @ (vertex - plane.centre), 1.0) for plane in planes]
-    by_parameters = np.asarray(np.linalg.inv(normals) @ block_diag(*rises), np.float64)
+    by_parameters = np.asarray(np.linalg.inv(normals) @ scipy.linalg.block_diag(*rises), np.float64)
     return vertex, stacked(spreads).through(by_parameters)
 
 

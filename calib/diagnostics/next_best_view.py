@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from calib.geometry import FACES, PER_POSE, depths_on_planes, unproject
 from calib.numerics import Floats
@@ -93,7 +93,7 @@ def moved_corner(corner: PlacedCorner, right_deg: float, up_deg: float, distance
 
 def _turn(right_deg: float, up_deg: float) -> Floats:
     """Camera's axes: x right, y down. Walking to the right turns the corner about y, climbing turns it about x."""
-    return Rotation.from_euler("yx", [right_deg, up_deg], degrees=True).as_matrix()
+    return scipy.spatial.transform.Rotation.from_euler("yx", [right_deg, up_deg], degrees=True).as_matrix()
 
 
 def step_taken(corner: PlacedCorner, right_deg: float, up_deg: float, distance: float) -> Floats:

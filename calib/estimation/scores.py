@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from calib.estimation.likelihood import PLANE, AnyLayout, AnyPart, Fit, Part
 from calib.geometry import PER_PLANE
@@ -147,7 +147,7 @@ def _score(patches: Sequence[PatchSums], covariance: Floats, step: Floats) -> tu
     for rows, patch in zip(across.reshape(len(patches), PER_PLANE, -1), patches, strict=True):
         rows[:, patch.columns] = patch.information[PLANE] @ patch.by_room
     slope = np.concatenate([patch_sums.slope[PLANE] for patch_sums in patches])
-    information = block_diag(*[patch_sums.information[PLANE, PLANE] for patch_sums in patches])
+    information = scipy.linalg.block_diag(*[patch_sums.information[PLANE, PLANE] for patch_sums in patches])
     tie_score = score(slope, information, across, covariance, step)
     return tie_score.value, tie_score.freedom
 

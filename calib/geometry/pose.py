@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import Any, overload
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from calib.numerics import Bools, Floats, Ints, compiled
 
@@ -194,7 +194,7 @@ def nearest_rotation(matrix: Floats) -> Floats:
 
 def rotation_vector(rotations: Floats) -> Floats:
     """The axes of rotations (..., 3, 3), as long as their angles up to π in radians, (..., 3)."""
-    vectors: Floats = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec()
+    vectors: Floats = scipy.spatial.transform.Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec()
     return vectors.reshape(rotations.shape[:-1])
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from calib.estimation import block_inflation
 from calib.geometry import cross_matrix
@@ -70,7 +70,7 @@ class SharedPoints:
         that sees it is off, across the line that the hub's ray is in its image, (M,).
         """
         off, by_depth, _, ahead = self._linearised(network)
-        square = np.sum(off**2 / self.variance[..., None], axis=(1, 2)) / chdtri(self.freedom, 0.5)
+        square = np.sum(off**2 / self.variance[..., None], axis=(1, 2)) / scipy.special.chdtri(self.freedom, 0.5)
         first = np.arange(len(off)), np.argmax(np.isfinite(self.variance), axis=1)
         own, way = off[first], by_depth[first] / np.linalg.norm(by_depth[first], axis=1, keepdims=True)
         across = (own[:, 0] * way[:, 1] - own[:, 1] * way[:, 0]) / np.sqrt(self.variance[first])

@@ -13,7 +13,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from calib.estimation import Fit
 from calib.networks.diagnostics import strains
@@ -27,7 +27,6 @@ from calib.numerics import Bools, Floats
 from calib.refinement import alternative
 
 _CHANCE = 1e-4
-_BY_CHANCE = float(chdtri(PER_WARP, _CHANCE))
 _AS_LIKELY = 10.0  # of χ²: odds of 150 to 1
 _CERTAIN = 20.0  # odds
 _STRAINED = 3.0  # times the noise, across the lines on which walls that are not flat move cells
@@ -69,6 +68,11 @@ class Warps:
         return bool(self.alone or self.several or self.moved)
 
 
+def _by_chance(freedom: int) -> float:
+    """What so many degrees of freedom gain in χ² by chance."""
+    return float(scipy.special.chdtri(freedom, _CHANCE))
+
+
 def find_warps(
     grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network]
 ) -> tuple[Warps, Fit[Network], Weights]:
@@ -80,13 +84,13 @@ def find_warps(
         _, weights = weights.measured_anew(grown, sights, whole, every)
         whole = weights.fitted(grown, sights, whole.layout, every, _ENOUGH)
     none = weights.fitted(grown, sights, _without_warps(whole.layout), free, _ENOUGH)
-    if none.cost - whole.cost < _BY_CHANCE or is_strained(sights, whole):
+    if none.cost - whole.cost < _by_chance(PER_WARP) or is_strained(sights, whole):
         return Warps(), none, weights
     whole = weights.fitted(grown, sights, whole.layout, every, ROUGH)
     # From walls that waves bent to fit a warp, a descent may end before it is down.
     starts = none.layout, fit.layout
     none = min((weights.fitted(grown, sights, start, free, ROUGH) for start in starts), key=lambda start: start.cost)
-    if none.cost - whole.cost < _BY_CHANCE:
+    if none.cost - whole.cost < _by_chance(PER_WARP):
         return Warps(), none, weights
     candidates = []
     for number, name in enumerate(grown.names):
@@ -94,8 +98,8 @@ def find_warps(
         alone = weights.fitted(grown, sights, start, columns, ROUGH)
         candidates.append(Warp(name, none.cost - alone.cost, alone.layout.devices[number].warp))
     candidates.sort(key=lambda candidate: -candidate.gain)
-    several = none.cost - whole.cost - candidates[0].gain > float(chdtri(PER_WARP * (len(devices) - 1), _CHANCE))
-    if several or candidates[0].gain < _BY_CHANCE:
+    several = none.cost - whole.cost - candidates[0].gain > _by_chance(PER_WARP * (len(devices) - 1))
+    if several or candidates[0].gain < _by_chance(PER_WARP):
         return Warps(several=several), none, weights
     likely = tuple(candidate for candidate in candidates if candidate.gain > candidates[0].gain - _AS_LIKELY)
     return Warps(likely), none, weights

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg import qr
+import scipy
 
 from calib.numerics.arrays import Floats
 
@@ -70,7 +70,7 @@ def orthonormal_polynomials(pixels: Floats, root_weight: Floats | None = None) -
 def orthonormal(columns: Floats) -> Floats:
     """Orthonormal basis (N, ≤ M) of `columns` (N, M), each of those before it, by QR decomposition."""
     # NumPy's own copies row by row, which takes longer than the rest.
-    return np.ascontiguousarray(qr(columns, mode="economic", check_finite=False)[0], np.float64)
+    return np.ascontiguousarray(scipy.linalg.qr(columns, mode="economic", check_finite=False)[0], np.float64)
 
 
 def coefficients_of(terms: Floats, values: Floats, weight: Floats) -> Floats:

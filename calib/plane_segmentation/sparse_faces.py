@@ -11,7 +11,7 @@ from itertools import combinations
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.finding import FindingKind
 from calib.geometry import NO_FACE, Matches, dehomogenise, homogeneous
@@ -69,7 +69,7 @@ def find_same_faces(labelled: Matches, matches: Matches, size: tuple[int, int]) 
     found again.
     """
     plane, count = find_sparse_planes(matches, size)
-    nearest = labelled.labels[cKDTree(labelled.camera_px).query(matches.camera_px)[1]]
+    nearest = labelled.labels[scipy.spatial.cKDTree(labelled.camera_px).query(matches.camera_px)[1]]
     face_of = np.full(count + 1, NO_FACE, np.int32)
     for i in range(count):
         around = nearest[plane == i]
@@ -123,7 +123,9 @@ def _one_after_the_other(matches: Matches, limit_px: float) -> list[Floats]:
 
 def _assign_to_planes(matches: Matches, planes: list[Floats], limit_px: float) -> tuple[Ints, list[Floats]]:
     """The plane of each match (N,), −1 for none, and the planes, largest first."""
-    around: Ints = np.asarray(cKDTree(matches.camera_px).query(matches.camera_px, min(_NEIGHBOURS, len(matches)))[1])
+    around: Ints = np.asarray(
+        scipy.spatial.cKDTree(matches.camera_px).query(matches.camera_px, min(_NEIGHBOURS, len(matches)))[1]
+    )
     plane = np.full(len(matches), NO_PLANE, np.int32)
     for _ in range(_ROUNDS):
         if not planes:

@@ -13,8 +13,8 @@ from itertools import combinations, product
 from operator import itemgetter
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from calib.geometry import Corner, Intrinsics
 from calib.numerics import Bools, Floats, Ints
@@ -267,7 +267,9 @@ def _picture_of_wall(places: Ints, light: Floats) -> _Wall:
     total = np.bincount(flat, light, minlength=height * width).reshape(height, width)
     known = count > 0
     mean = total / np.maximum(count, 1)
-    around = uniform_filter(mean, _WINDOW) / np.maximum(uniform_filter(known.astype(np.float64), _WINDOW), 1e-9)
+    around = scipy.ndimage.uniform_filter(mean, _WINDOW) / np.maximum(
+        scipy.ndimage.uniform_filter(known.astype(np.float64), _WINDOW), 1e-9
+    )
     return _Wall(np.where(known, mean - around, 0.0), known, origin)
 
 

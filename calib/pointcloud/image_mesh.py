@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError
 
 from calib.numerics import Floats, Ints, compiled, in_slices, robust_sigma
 
@@ -155,8 +155,8 @@ def _strip_triangles(surface: _Surface, index: Ints, limit: float, triangles: In
 
 def _scattered_triangles(surface: _Surface) -> Ints:
     try:
-        corners: Ints = Delaunay(surface.pixel.astype(np.float64)).simplices.astype(np.int64)
-    except (QhullError, ValueError):  # fewer than three points, or all of them in a line
+        corners: Ints = scipy.spatial.Delaunay(surface.pixel.astype(np.float64)).simplices.astype(np.int64)
+    except (scipy.spatial.QhullError, ValueError):  # fewer than three points, or all of them in a line
         return np.empty((0, 3), np.int64)
     first, second, third = surface.pixel[corners].transpose(1, 0, 2)
     (ax, ay), (bx, by) = (second - first).T, (third - first).T

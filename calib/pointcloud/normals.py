@@ -12,8 +12,8 @@ from math import cos, radians
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from calib.numerics import Bools, Floats, Ints, in_slices
 from calib.pointcloud.plane_fit import FEWEST_NEIGHBOURS, LARGEST_WINDOW, WindowPlanes, window_planes
@@ -108,14 +108,14 @@ def _neighbour_planes(
 
     Neighbours farther than `reach` (M,) are on another surface.
     """
-    tree = cKDTree(cloud, balanced_tree=False, compact_nodes=False)
+    tree = scipy.spatial.cKDTree(cloud, balanced_tree=False, compact_nodes=False)
     fitted = in_slices(len(points), _AT_A_TIME, lambda at: _fit_to_neighbours(tree, points[at], cloud, reach[at]))
     normals, isolated = map(np.concatenate, zip(*fitted, strict=True))
     return normals, isolated
 
 
 def _fit_to_neighbours(
-    tree: cKDTree, points: NDArray[np.float32], cloud: NDArray[np.float32], reach: Floats
+    tree: "scipy.spatial.cKDTree", points: NDArray[np.float32], cloud: NDArray[np.float32], reach: Floats
 ) -> tuple[NDArray[np.float32], Bools]:
     distance, index = tree.query(points, k=_NEIGHBOURS + 1)
     near = (distance <= reach[:, None]).astype(np.float64)

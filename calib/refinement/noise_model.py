@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from calib.numerics import CUBIC, MEDIAN_LENGTH, Floats, median, orthonormal_polynomials
 from calib.refinement.match_cells import Cells
@@ -75,7 +75,7 @@ def long_waves(cells: Cells, residual: Floats, variance: Floats) -> tuple[Floats
 
 def overdispersion(total: float, freedom: float, significant: float = _SIGNIFICANT) -> float:
     """Return κ, χ² over its degrees of freedom; 1 if it is not significant."""
-    return 1.0 if freedom <= 0 or total < chdtri(freedom, 1 - significant) else total / freedom
+    return 1.0 if freedom <= 0 or total < scipy.special.chdtri(freedom, 1 - significant) else total / freedom
 
 
 def _long_waves(cells: Cells, residual: Floats, variance: Floats, absorbed: float) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from itertools import product
 from operator import attrgetter
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from calib.finding import FindingKind
 from calib.geometry import FACES, leg_signs
@@ -79,7 +79,7 @@ def tie(
     trials.sort(key=attrgetter("fit.cost"))
     apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), _variances(thinned, levels))
     raised = trials[0].fit.cost - apart.cost
-    limit = float(chdtri(PER_CORNER * (len(captures) - 1), 1 - _SIGNIFICANT))
+    limit = float(scipy.special.chdtri(PER_CORNER * (len(captures) - 1), 1 - _SIGNIFICANT))
     if not np.isfinite(raised):  # no order fits at all, as of captures that no rig explains
         return captures, fits, Sameness(False, trials[0].shifts, np.inf, limit, np.inf, np.zeros((SHARED, SHARED)))
     # All cells may distinguish orders that a sample of them does not.

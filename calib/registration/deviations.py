@@ -6,9 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.deferred_imports import open3d
 from calib.numerics import Bools, Floats, Ints, in_slices, robust_sigma
@@ -60,7 +58,7 @@ def from_samples(
     `noise` (S,): standard deviation of a point around each sample.
     `are_oriented`: whether the normals say which side is outside; otherwise the reference does.
     """
-    tree, beside = cKDTree(reference.points), _BESIDE * reference.cell
+    tree, beside = scipy.spatial.cKDTree(reference.points), _BESIDE * reference.cell
 
     def part(at: slice) -> tuple[Floats, Floats]:
         pairs = pair_samples(
@@ -175,10 +173,10 @@ def groups(points: Floats, chosen: Bools, cell: float) -> list[Ints]:
     numbers = np.flatnonzero(chosen)
     if not len(numbers):
         return []
-    pairs = cKDTree(points[numbers]).query_pairs(_AROUND * cell, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(points[numbers]).query_pairs(_AROUND * cell, output_type="ndarray")
     shape = (len(numbers), len(numbers))
-    joined = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape)
-    count, label = connected_components(joined, directed=False)
+    joined = scipy.sparse.coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape)
+    count, label = scipy.sparse.csgraph.connected_components(joined, directed=False)
     return [numbers[label == k] for k in range(count)] if count < 5000 else _by_label(numbers, label)
 
 
@@ -211,5 +209,5 @@ def _regions(cells: CellDeviations, z: Floats) -> Iterator[Region]:
 
 def _smoothed(points: Floats, values: Floats, cell: float) -> Floats:
     """Means of values (N,) over the cells around each, (N,)."""
-    near = cKDTree(points).query_ball_point(points, _AROUND * cell)
+    near = scipy.spatial.cKDTree(points).query_ball_point(points, _AROUND * cell)
     return np.array([values[each].mean() for each in near])

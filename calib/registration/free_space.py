@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from calib.numerics import Bools, Floats, evenly_spread, median
 
@@ -29,7 +29,7 @@ class FreeSpace:
     def of(cls, points: Floats, eye: Floats) -> "FreeSpace":
         """Of points (N, 3) that were seen from one place."""
         ways, ranges = _ways(points, eye)
-        tree = cKDTree(ways, balanced_tree=False, compact_nodes=False)
+        tree = scipy.spatial.cKDTree(ways, balanced_tree=False, compact_nodes=False)
         spacing = median(np.asarray(tree.query(evenly_spread(ways, _SAMPLE), 4)[0])[:, -1]) / 1.5
         per_rad = min(1 / max(_SPACINGS * spacing, 1e-9), float(np.sqrt(_MOST_BINS / (2 * np.pi**2))))
         shape = int(np.ceil(np.pi * per_rad)) + 1, int(np.ceil(2 * np.pi * per_rad)) + 1

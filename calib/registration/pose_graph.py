@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from calib.geometry import IDENTITY, PER_POSE, Pose, cross_matrix
 from calib.numerics import Floats
@@ -80,7 +80,7 @@ def solve_pose_graph(pairs: Sequence[PairPose], root: int) -> PoseGraph:
         solved, covariance, parts = _solved(own, places)
         freedom = PER_POSE * (len(own) - len(places) + 1)
         chi2 = float(np.sum(parts))
-        is_unlikely = freedom > 0 and chi2 > float(chdtri(freedom, _BY_CHANCE))
+        is_unlikely = freedom > 0 and chi2 > float(scipy.special.chdtri(freedom, _BY_CHANCE))
         contradict = is_unlikely and any(_is_off(pair, solved) for pair in own)
         worse = _worst(own, parts, places, root) if contradict else None
         if worse is None:

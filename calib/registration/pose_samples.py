@@ -1,7 +1,7 @@
 """Poses to begin with: rotations that cover all directions and turns evenly, and what is distinct of many poses."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from calib.geometry import Pose
 from calib.numerics import Floats, distinct
@@ -19,7 +19,7 @@ def even_rotations(count: int) -> Floats:
     near, far = np.sqrt(s / count), np.sqrt(1 - s / count)
     alpha, beta = 2 * np.pi * s / _PHI, 2 * np.pi * s / _PSI
     quaternions = near * np.sin(alpha), near * np.cos(alpha), far * np.sin(beta), far * np.cos(beta)
-    return Rotation.from_quat(np.stack(quaternions, axis=1)).as_matrix()
+    return scipy.spatial.transform.Rotation.from_quat(np.stack(quaternions, axis=1)).as_matrix()
 
 
 def distinct_poses(poses: Pose, worth: Floats, turn: float, shift: float, most: int) -> list[int]:

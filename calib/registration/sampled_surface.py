@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.deferred_imports import open3d
 from calib.numerics import Bools, Floats, Ints, evenly_spread, median
@@ -98,7 +98,7 @@ class SampledSurface:
         by −K x, so that the covariance of points and normals of neighbours has the trace −tr(K P), for their covariance
         P.
         """
-        index = np.asarray(cKDTree(self.points).query(self.points, _NEIGHBOURS)[1])
+        index = np.asarray(scipy.spatial.cKDTree(self.points).query(self.points, _NEIGHBOURS)[1])
         apart, turned = (
             values[index] - values[index].mean(axis=1, keepdims=True) for values in (self.points, self.normals)
         )
@@ -154,7 +154,7 @@ class SamplePairs:
 
 def pair_samples(
     surface: SampledSurface,
-    tree: "cKDTree[Any, Any]",
+    tree: "scipy.spatial.cKDTree[Any, Any]",
     points: Floats,
     normals: Floats,
     reach: float,
@@ -188,7 +188,7 @@ def extent_of(points: Floats, outside: float = 0.02) -> float:
 
 def spacing_of(points: Floats) -> float:
     """Median distance of neighbouring points (N, 3) along a surface: the third nearest is half as far again."""
-    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+    tree = scipy.spatial.cKDTree(points, balanced_tree=False, compact_nodes=False)
     return median(np.asarray(tree.query(evenly_spread(points, _NOISE_SAMPLE), 4)[0])[:, -1]) / 1.5
 
 
@@ -209,7 +209,7 @@ def local_noise(points: Floats, places: Floats) -> Floats:
         return np.zeros(len(places))
     some = evenly_spread(points, _LOCAL_SAMPLE)
     squares = _from_planes(points, some)
-    tree = cKDTree(some)
+    tree = scipy.spatial.cKDTree(some)
     around = np.asarray(tree.query(some, min(_LOCAL, len(some)))[1])
     typical = np.median(squares[around], axis=1) / _MEDIAN_SQUARE
     noise: Floats = np.sqrt(typical)[np.asarray(tree.query(places)[1])]
@@ -218,7 +218,7 @@ def local_noise(points: Floats, places: Floats) -> Floats:
 
 def _from_planes(points: Floats, some: Floats) -> Floats:
     """Mean squared distances (M,), as of one point, from the planes through the neighbours of `some` points (M, 3)."""
-    _, index = cKDTree(points, balanced_tree=False, compact_nodes=False).query(some, _OF_NOISE)
+    _, index = scipy.spatial.cKDTree(points, balanced_tree=False, compact_nodes=False).query(some, _OF_NOISE)
     around = points[index] - points[index].mean(axis=1, keepdims=True)
     squares: Floats = np.linalg.eigvalsh(np.matmul(around.transpose(0, 2, 1), around))[:, 0]
     return np.maximum(squares, 0.0) / (_OF_NOISE - 3)
@@ -254,7 +254,7 @@ def _means(points: Floats, normals: Floats, count: Ints | None, cell: float) -> 
 def _are_opposed(points: Floats, normals: Floats) -> bool:
     """Whether normals change their signs along the surface, as those of a mesh with flipped faces do."""
     chosen = np.arange(0, len(points), max(1, len(points) // _NOISE_SAMPLE))
-    _, index = cKDTree(points).query(points[chosen], 4)
+    _, index = scipy.spatial.cKDTree(points).query(points[chosen], 4)
     cosine = np.einsum("ni,nki->nk", normals[chosen], normals[np.asarray(index)[:, 1:]])
     return bool(np.mean(cosine < -0.7) > _MOST_OPPOSED)
 
@@ -268,7 +268,7 @@ def _oriented(points: Floats, normals: Floats) -> Floats:
     cloud.normals = o3d.utility.Vector3dVector(normals[chosen])
     cloud.orient_normals_consistent_tangent_plane(_ORIENTATION_NEIGHBOURS)
     agreed = np.asarray(cloud.normals)
-    nearest = np.asarray(cKDTree(points[chosen]).query(points)[1])
+    nearest = np.asarray(scipy.spatial.cKDTree(points[chosen]).query(points)[1])
     sign = np.where(np.sum(normals * agreed[nearest], axis=1) < 0, -1.0, 1.0)
     return normals * sign[:, None]
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.numerics import Floats, evenly_spread, median
 from calib.registration.free_space import FreeSpace
@@ -38,7 +38,7 @@ class SurfaceSide:
     """A surface with its middle at the origin, and the search tree of its fine samples."""
 
     fine: SampledSurface
-    tree: cKDTree
+    tree: "scipy.spatial.cKDTree"
     middle: Floats
     free: FreeSpace | None
 
@@ -51,7 +51,7 @@ class SurfaceSide:
     def of(cls, surface: SampledSurface, middle: Floats, eye: Floats | None) -> "SurfaceSide":
         """`eye` in the same frame as the samples."""
         free = None if eye is None else FreeSpace.of(surface.points, eye)
-        return cls(surface, cKDTree(surface.points), middle, free)
+        return cls(surface, scipy.spatial.cKDTree(surface.points), middle, free)
 
 
 @dataclass(frozen=True, eq=False)

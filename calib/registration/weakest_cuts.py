@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+import scipy
 
 from calib.geometry import Pose
 from calib.numerics import Floats, Ints
@@ -74,11 +74,11 @@ def _parts(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> Iter
         a, b = int(names[i]), int(names[j])
         worth[i, j] = gain([compare_one(surfaces[a], surfaces[b], places[a].inverse() @ places[b])])[0]
     cost = np.triu(1 + worth.max() - worth, 1)  # zero would mean no edge
-    tree = minimum_spanning_tree(cost).toarray()
+    tree = scipy.sparse.csgraph.minimum_spanning_tree(cost).toarray()
     for edge in np.argwhere(tree):
         rest = tree.copy()
         rest[tuple(edge)] = 0
-        side = connected_components(rest, directed=False)[1].astype(np.bool_)
+        side = scipy.sparse.csgraph.connected_components(rest, directed=False)[1].astype(np.bool_)
         part = side if 2 * np.count_nonzero(side) <= len(side) else ~side
         if np.count_nonzero(part) > 1:
             yield tuple(int(k) for k in names[part])

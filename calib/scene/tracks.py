@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Bools, Floats, Ints
@@ -51,8 +50,8 @@ def observe(
             ones.append(offsets[i] + own[near])
             others.append(offsets[j] + matching[near])
     rows, columns = np.concatenate(ones), np.concatenate(others)
-    links = coo_array((np.ones(len(rows)), (rows, columns)), (offsets[-1], offsets[-1]))
-    _, label = connected_components(links, directed=False)
+    links = scipy.sparse.coo_array((np.ones(len(rows)), (rows, columns)), (offsets[-1], offsets[-1]))
+    _, label = scipy.sparse.csgraph.connected_components(links, directed=False)
     keypoint = np.unique(np.concatenate([rows, columns]))
     station_of = np.searchsorted(offsets, keypoint, side="right") - 1
     track = label[keypoint]

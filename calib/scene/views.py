@@ -11,8 +11,8 @@ from itertools import combinations
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from calib.geometry import Matches, Size
 from calib.numerics import Bools, Floats, Image, Ints, at_random
@@ -200,7 +200,7 @@ def _keypoints(picture: NDArray[np.uint8], mask: NDArray[np.uint8]) -> tuple[Flo
         return np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros((0, 128), np.float32)
     order = np.argsort([-keypoint.response for keypoint in keypoints], kind="stable")
     pixels = np.array([keypoint.pt for keypoint in keypoints])[order]
-    within = cKDTree(pixels).query_ball_point(pixels, _ONE_PLACE_PX)
+    within = scipy.spatial.cKDTree(pixels).query_ball_point(pixels, _ONE_PLACE_PX)
     owner = np.array([min(near) for near in within], np.int64)
     owner = owner[owner]  # a chain of near keypoints belongs to the strongest
     strongest, owner = np.unique(owner, return_inverse=True)

@@ -4,9 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.deferred_imports import open3d
 from calib.geometry import Pose
@@ -115,7 +113,7 @@ def spacing_of(points: Floats) -> float:
     if len(points) < 2:
         return 0.0
     some = points[:: max(1, len(points) // _SAMPLE)]
-    apart = np.asarray(cKDTree(points).query(some, 2)[0])[:, 1]
+    apart = np.asarray(scipy.spatial.cKDTree(points).query(some, 2)[0])[:, 1]
     return float(np.median(apart))
 
 
@@ -135,10 +133,12 @@ def _pieces(cloud: WorkedCloud, step: CloudStep) -> WorkedCloud:
     if edge == 0:
         return cloud
     cells, of_cell = np.unique(np.floor(cloud.points / edge).astype(np.int64), axis=0, return_inverse=True)
-    first, second = cKDTree(cells).query_pairs(1.8, output_type="ndarray").T  # cells that share a corner: up to √3
+    first, second = (
+        scipy.spatial.cKDTree(cells).query_pairs(1.8, output_type="ndarray").T
+    )  # cells that share a corner: up to √3
     shape = (len(cells), len(cells))
-    joined = coo_matrix((np.ones(len(first), np.bool_), (first, second)), shape)
-    count, of_piece = connected_components(joined, directed=False)
+    joined = scipy.sparse.coo_matrix((np.ones(len(first), np.bool_), (first, second)), shape)
+    count, of_piece = scipy.sparse.csgraph.connected_components(joined, directed=False)
     piece = of_piece[of_cell.reshape(-1)]
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, piece, cloud.points)

@@ -8,7 +8,7 @@ enhancement and noise filtering by use of local statistics", 1980): none where t
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.numerics import Floats, Ints
 
@@ -33,7 +33,7 @@ def smoothed(points: Floats, normals: Floats, sigma_along: Callable[[slice, Floa
         return points
     parts = [slice(start, min(start + _AT_ONCE, len(points))) for start in range(0, len(points), _AT_ONCE)]
     sigma = np.concatenate([sigma_along(part, normals[part]) for part in parts])
-    tree = cKDTree(points)
+    tree = scipy.spatial.cKDTree(points)
     moved = points.copy()
     for part in parts:
         _, near = tree.query(points[part], count)

@@ -104,6 +104,12 @@ class Options:
                 paths = value if isinstance(value, list) else [value]
                 yield from (f"{path}: {said}" for path in paths if isinstance(path, Path) and not _is_there(path))
 
+    def refuse_wrong_settings(self) -> None:
+        """Raise InputError for a configuration that is wrong, likewise before what the work needs is imported."""
+        for each in fields(self):  # type: ignore[arg-type]
+            if each.metadata.get("part"):
+                getattr(self, each.name).refuse_wrong_settings()
+
     @classmethod
     def of(cls, args: Namespace) -> Self:
         """The options that a parser has found."""
@@ -195,6 +201,11 @@ class ConfigOptions(Options):
         if self.config is None:
             raise ValueError("there is no configuration")
         return self.config
+
+    def refuse_wrong_settings(self) -> None:
+        """Raise InputError if the file or a key is wrong."""
+        if self.config is not None:
+            self.load()
 
     def load(self) -> "Config":
         """The configuration. Raises InputError."""

@@ -57,6 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options = _command(name).of(args)
             options.refuse_missing()
             _require_address_space()
+            options.refuse_wrong_settings()
             options.module()
             on_ending(interrupt)
             _announce_compiling(quiet=getattr(args, "quiet", False))

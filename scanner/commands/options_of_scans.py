@@ -21,6 +21,7 @@ from scanner.commands.command import (
 
 _INSTEAD = "known calibration of the rig, used instead of calibrating"
 _MASKS = "three PNG of the camera's size, nonzero on a face"
+_NO_MASKS = "no such folder of masks"
 _NO_CAPTURE, _NO_MATCHES = "no such capture folder", "no such matches file, result or capture"
 _NO_STATION = "no such file or folder; a station is a recorded capture, a result or a matches.npz"
 _FILL = "close the thing's surface where no station saw it"
@@ -41,7 +42,10 @@ class ScanCommand(Command):
 
     settings: ConfigOptions = with_settings(required=True)
     resume: Path | None = option(
-        "complete an interrupted capture, as in NAME-incomplete, with the rig unchanged", "DIR", action=_InPlaceOfConfig
+        "complete an interrupted capture, as in NAME-incomplete, with the rig unchanged",
+        "DIR",
+        action=_InPlaceOfConfig,
+        existing=_NO_CAPTURE,
     )
     captures: int = count(
         "capture the corner N times, moving the rig as a whole in between, and calibrate from all", default=1
@@ -51,10 +55,10 @@ class ScanCommand(Command):
     )
     object: bool = switch("with --stations: scan a thing that you turn in between")
     calibration: Path | None = option(
-        "with --object: calibration of the rig (default: by what the stations share)", "FILE"
+        "with --object: calibration of the rig (default: by what the stations share)", "FILE", existing=NO_FILE
     )
     fill: bool = switch(_FILL)
-    masks: Path | None = option(_MASKS, "DIR")
+    masks: Path | None = option(_MASKS, "DIR", existing=_NO_MASKS)
     output: Output = with_output("scans/<name of the configuration>")
 
 
@@ -65,7 +69,7 @@ class ReplayCommand(Command):
     capture: Path = argument("CAPTURE", "folder with a capture.yaml and its frames", existing=_NO_CAPTURE)
     settings: ConfigOptions = with_settings()
     calibration: Path | None = option(_INSTEAD, "FILE", existing=NO_FILE)
-    masks: Path | None = option(_MASKS, "DIR")
+    masks: Path | None = option(_MASKS, "DIR", existing=_NO_MASKS)
     output: Output = with_output("scans/<name of the capture>")
 
 
@@ -121,11 +125,13 @@ The photos may be cropped if all are cropped alike, because the principal point 
 change between them. The result is that of the first two photos.
 """
 
-    photos: list[Path] = argument("PHOTO", "photos of one corner by one camera at one zoom", nargs="+")
+    photos: list[Path] = argument(
+        "PHOTO", "photos of one corner by one camera at one zoom", nargs="+", existing=NO_FILE
+    )
     matches: Path | None = option(
         "matches.npz of two photos: camera_px in the first, projector_px in the second", "FILE"
     )
-    masks: Path | None = option(_MASKS, "DIR")
+    masks: Path | None = option(_MASKS, "DIR", existing=_NO_MASKS)
     exif_prior: bool = switch("use the EXIF focal length (± 5 %%), which is otherwise only shown")
     dense: bool = switch("match every pixel of the first two photos: dense.ply")
     settings: ConfigOptions = with_settings()

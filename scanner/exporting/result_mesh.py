@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Bools, Floats, Ints
@@ -128,7 +128,7 @@ def _joined(result: CleanedResult, path: Path, *, coloured: bool) -> Mesh:
     colours = np.full(points.shape, 128, np.uint8)
     if result.steps or coloured:
         whole = replace(result, steps=(), axes=None).cloud()
-        nearest = np.asarray(cKDTree(whole.points).query(points)[1])
+        nearest = np.asarray(scipy.spatial.cKDTree(whole.points).query(points)[1])
         colours = whole.colours[nearest]
     mesh = Mesh(points, normals, colours, triangles, result.unit)
     if result.steps:
@@ -190,7 +190,7 @@ def surface_through(cloud: CleanedCloud) -> Mesh | None:
     points: Floats = cloud.points[used]
     if len(points) < _FEWEST:
         return None
-    tree = cKDTree(points)
+    tree = scipy.spatial.cKDTree(points)
     spacing = np.asarray(tree.query(points, _NEIGHBOURS)[0])[:, -1]
     cells = float(np.max(np.ptp(points, axis=0))) / float(np.median(spacing))
     depth = int(np.clip(np.ceil(np.log2(cells)), _SHALLOWEST, _DEEPEST))

@@ -6,7 +6,7 @@ from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.diagnostics import Budget, PoseErrors, SystematicErrors, budget_across
 from calib.geometry import Matches
@@ -135,4 +135,4 @@ class _Scans:
 
     def __init__(self, stations: Sequence[PlacedScan]) -> None:
         self.read = cache(lambda station: stations[station].scan)
-        self.tree = cache(lambda station: cKDTree(self.read(station).points))
+        self.tree = cache(lambda station: scipy.spatial.cKDTree(self.read(station).points))

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from calib.diagnostics import (
     LinearFit,
@@ -104,7 +104,9 @@ def _spreads(
     of_plane = plane.influence
     influence = np.concatenate([of_plane, form.influence])
     both = spread_of_fit(
-        LinearFit(influence, direction, block_diag(plane.covariance, form.covariance), cluster), matches, errors
+        LinearFit(influence, direction, scipy.linalg.block_diag(plane.covariance, form.covariance), cluster),
+        matches,
+        errors,
     )
     count = len(of_plane)
     return both.part(slice(count)), both.part(slice(count, None))

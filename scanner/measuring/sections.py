@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.diagnostics import SystematicErrors, length_in_the_middle
 from calib.geometry import tangent_basis
@@ -156,7 +156,7 @@ def _chains(links: Ints, count: int) -> list[tuple[Ints, bool]]:
 class _Noise:
     """Of the points of one scan."""
 
-    tree: cKDTree
+    tree: "scipy.spatial.cKDTree"
     """Of the points, in the axes of the result."""
     scan: FinishedScan
 
@@ -173,7 +173,7 @@ def _noise(result: CleanedResult) -> _Noise | None:
         return None
     (station,) = result.stations
     scan = station.scan
-    return None if scan.matches.sigma_px is None else _Noise(cKDTree(station.place @ scan.points), scan)
+    return None if scan.matches.sigma_px is None else _Noise(scipy.spatial.cKDTree(station.place @ scan.points), scan)
 
 
 def _contour(

@@ -4,11 +4,14 @@ import base64
 import hashlib
 from functools import cache
 from importlib.resources import files
+from typing import TYPE_CHECKING
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from scanner.shown_text import unbroken
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 
 def page(name: str, *, runs: str = "", **values: object) -> str:
@@ -19,7 +22,9 @@ def page(name: str, *, runs: str = "", **values: object) -> str:
 
 
 @cache
-def _environment() -> Environment:
+def _environment() -> "Environment":
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # takes a twentieth of a second
+
     made = Environment(
         loader=PackageLoader("scanner"),
         autoescape=True,

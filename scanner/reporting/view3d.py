@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from calib.geometry import IDENTITY, Calibration, Intrinsics, Pose
 from calib.numerics import Floats
@@ -75,7 +75,7 @@ class Thinned(NamedTuple):
         chosen = np.sort(np.random.default_rng(0).permutation(len(points))[:_MOST_POINTS])
         some = points[chosen].astype(np.float64)
         sample = some[:: max(1, len(some) // _SPACING_SAMPLE)]
-        within = np.asarray(cKDTree(some).query(sample, min(1 + _NEIGHBOURS, len(some)))[0])[:, -1]
+        within = np.asarray(scipy.spatial.cKDTree(some).query(sample, min(1 + _NEIGHBOURS, len(some)))[0])[:, -1]
         grid = float(np.median(within)) * np.sqrt(np.pi / _NEIGHBOURS)
         return cls(some, colours[chosen], normals[chosen], grid, len(points))
 

@@ -1,7 +1,7 @@
 """Results of versions that wrote less: what their files do not say is found again."""
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.geometry import Calibration, Matches, intersect
 from calib.numerics import Bools, Floats, Ints
@@ -23,5 +23,5 @@ def find_matches(points: Floats, matches: Matches, calibration: Calibration) -> 
     usable = np.flatnonzero(met.in_front)
     if not len(usable):
         return None
-    nearest = usable[cKDTree(met.points[usable]).query(points)[1]]
+    nearest = usable[scipy.spatial.cKDTree(met.points[usable]).query(points)[1]]
     return nearest if np.all(same_points(points, met.points[nearest])) else None

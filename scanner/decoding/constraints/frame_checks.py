@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from calib.finding import Finding
 from calib.numerics import TRIAL_PIXELS, Bools, Floats32, evenly_spread
@@ -157,7 +157,9 @@ def _with_white(plan: SequencePlan, white: int, equalised: LitSample, least: flo
     def inconsistency(factor: float) -> float:
         return total_inconsistency(plan, times(factor), equalised.swing)
 
-    optimum = minimize_scalar(inconsistency, bounds=(least, _MOST_BRIGHTER), method="bounded", options={"xatol": 0.01})
+    optimum = scipy.optimize.minimize_scalar(
+        inconsistency, bounds=(least, _MOST_BRIGHTER), method="bounded", options={"xatol": 0.01}
+    )
     return replace(equalised, levels=times(float(optimum.x)))
 
 

@@ -11,8 +11,8 @@ from math import sqrt
 from typing import Any, cast
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import erfinv
 
 from calib.numerics import Bools, Floats, Floats32, fit_reweighted, median, medians, quantile
 from scanner.decoding.light import NoiseModel
@@ -63,7 +63,7 @@ def find_violations(
 
 def _usual_sigma(deviation: NDArray[np.floating[Any]]) -> float:
     """Return the standard deviation of normal deviates with the absolute values (P,) of the pixels that rest."""
-    return quantile(deviation, STATIC_SHARE) / (sqrt(2) * float(erfinv(STATIC_SHARE)))
+    return quantile(deviation, STATIC_SHARE) / (sqrt(2) * float(scipy.special.erfinv(STATIC_SHARE)))
 
 
 def frames_of_fine_bits(plan: SequencePlan) -> set[int]:

@@ -12,8 +12,8 @@ a stripe, which separates the two.
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import erf
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats32, Image, evenly_spread, lines_of
@@ -189,6 +189,6 @@ def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
     contrast = float(np.quantile(least / (2 * amplitude), NEARLY_ALL))
     blur_px = _BLURS_CELLS * axis.cell
     times = np.exp(2 * (np.pi * blur_px / axis.fringes[0].period) ** 2)
-    of_stripes = erf(NEARLY_ALL * axis.cell / 2 / (np.sqrt(2) * blur_px))
+    of_stripes = scipy.special.erf(NEARLY_ALL * axis.cell / 2 / (np.sqrt(2) * blur_px))
     weaker = float(np.interp(contrast, of_stripes * times, times, left=1.0))
     return weaker if weaker > _IN_FOCUS else 1.0

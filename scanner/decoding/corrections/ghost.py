@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from calib.numerics import TRIAL_PIXELS, Floats32, Image, evenly_spread, medians
 from scanner.decoding.corrections.gains import TAILS
@@ -228,7 +228,7 @@ def share_of_previous(
     def contradiction(share: float) -> float:
         return off(without_previous(plan, levels, share, frames))
 
-    optimum = minimize_scalar(contradiction, bounds=(0, most), method="bounded", options={"xatol": 1e-3})
+    optimum = scipy.optimize.minimize_scalar(contradiction, bounds=(0, most), method="bounded", options={"xatol": 1e-3})
     return float(optimum.x), float(optimum.fun)
 
 

@@ -20,8 +20,8 @@ from typing import cast
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import fdtrc
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Floats32, Image, compiled, huber_weights, in_parallel
 from scanner.decoding.significance import BY_CHANCE, MEDIAN_ROUNDS, SIGNIFICANT_SIGMAS
@@ -326,7 +326,7 @@ def _not_round(tiles: _Tiles) -> Footprint | None:
     difference = apart @ covariance
     squared = float(difference @ np.linalg.solve(apart @ uncertain @ apart.T, difference))
     free = count - unknowns
-    by_chance = fdtrc(2, free - 1, squared * (free - 1) / (2 * free))
+    by_chance = scipy.special.fdtrc(2, free - 1, squared * (free - 1) / (2 * free))
     footprint = Footprint(*covariance.tolist())
     return footprint if by_chance < BY_CHANCE and footprint.largest_px2 < _LARGEST_PX2 else None
 

@@ -17,7 +17,7 @@ from itertools import pairwise
 from math import sqrt
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from calib.numerics import LEVEL, SLOPE, Bools, Floats, Floats32, Ints
 from scanner.decoding.light import MOST_ALONG, TILE_PX, NoiseModel, TileSample
@@ -59,7 +59,7 @@ class FrameShifts:
             return False
         shifts = self.shift_px.reshape(-1)
         squared = float(shifts @ np.linalg.solve(self.covariance + _OF_A_FRAME_PX**2 * np.eye(shifts.size), shifts))
-        return squared > float(chdtri(shifts.size - 2, BY_CHANCE))
+        return squared > float(scipy.special.chdtri(shifts.size - 2, BY_CHANCE))
 
     @property
     def are_distinct_from_light(self) -> bool:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from calib.geometry import mapped
 from calib.numerics import Floats, Ints, orthonormal, robust_sigma
@@ -142,7 +142,7 @@ class Beat:
             residuals: Floats = step[-1] * self.waves(values(step)).sum(axis=0) - self.data
             return residuals
 
-        found = optimize.least_squares(
+        found = scipy.optimize.least_squares(
             misfit, np.append(np.zeros(len(columns)), 1.0), method="lm", ftol=_PRECISE, xtol=_PRECISE
         )
         best = values(found.x)

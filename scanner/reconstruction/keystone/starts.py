@@ -10,7 +10,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from scipy import fft
+import scipy
 
 from calib.geometry import mapped
 from calib.numerics import Floats, in_parallel
@@ -173,14 +173,14 @@ class Spectrum:
 
     def _strongest(self, chirp: Floats) -> tuple[float, float, float, float]:
         """The power of the strongest wave, its frequencies along x and y, and its phase in the middle in cycles."""
-        padded = tuple(fft.next_fast_len(int(_PADDED * count)) for count in self.sums.shape)
+        padded = tuple(scipy.fft.next_fast_len(int(_PADDED * count)) for count in self.sums.shape)
         angle = (2 * np.pi * self.half * chirp).astype(np.float32)
         turned = np.empty(self.sums.shape, np.complex64)
         np.multiply(self.sums, np.cos(angle), out=turned.real)
         np.multiply(self.sums, np.sin(angle), out=turned.imag)
-        wave = fft.fft2(turned, s=padded)
+        wave = scipy.fft.fft2(turned, s=padded)
         row, column = np.unravel_index(int(np.argmax(wave.real**2 + wave.imag**2)), padded)
-        frequencies = [fft.fftfreq(count, self.cell) for count in padded]
+        frequencies = [scipy.fft.fftfreq(count, self.cell) for count in padded]
         by_y, by_x = float(frequencies[0][row]), float(frequencies[1][column])
         strongest = complex(wave[row, column])
         phase = np.angle(strongest) / (2 * np.pi) - by_x * self.x[0, 0] - by_y * self.y[0, 0]
