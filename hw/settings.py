@@ -120,6 +120,12 @@ class ThingSettings(Settings):
     background: bool = Field(default=True, description="Turntable, table and wall are visible.")
     patches: float = Field(default=0.6, ge=0.0, le=1.0, description="Contrast of the patches on its surface.")
     gloss: float = Field(default=0.0, ge=0.0, le=5.0, description="Strength of the highlight.")
+    camera_place: int = Field(
+        default=0, ge=0, description="The camera's place, each with its own lens, as in a network."
+    )
+    projector_place: int = Field(
+        default=0, ge=0, description="The projector's place, each with its own lens, as in a network."
+    )
 
 
 class PanelSettings(Settings):

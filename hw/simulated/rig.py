@@ -70,7 +70,11 @@ class SimulatedCamera:
     def __init__(self, room: Scenery, projector: SimulatedProjector) -> None:
         self._room = room
         self._projector = projector
-        self._noise = np.random.default_rng([room.settings.seed, _NOISE_STREAM, room.settings.pose])
+        settings = room.settings
+        place = [settings.thing.camera_place, settings.thing.projector_place]
+        self._noise = np.random.default_rng(
+            [settings.seed, _NOISE_STREAM, settings.pose, *(place if any(place) else ())]
+        )
         pulses = np.random.default_rng([room.settings.seed, _PULSE_STREAM, room.settings.pose])
         self._lamp = Lamp(room.settings, pulses)
         self._exposure_us = room.sensor.exposure_us

@@ -1,5 +1,6 @@
 """Matches of a simulated thing at some steps, from rays with noise; no frames are rendered."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,10 +75,39 @@ def cluttered_stations(
     return _turned(_clutter(seed), count, camera, seed, noise_px, **thing)
 
 
+def network_stations(
+    cameras: int,
+    projectors: int,
+    count: int,
+    camera: tuple[int, int],
+    seed: int = 0,
+    noise_px: float = NOISE_PX,
+    *,
+    is_cluttered: bool = False,
+) -> list[dict[tuple[str, str], ThingStation]]:
+    """Stations of a thing or a clutter before a network, by camera and projector; turned like `turned_stations`."""
+    solid = _clutter(seed) if is_cluttered else None
+    pairs = {
+        (f"camera{c + 1}", f"projector{p + 1}"): _turned(
+            solid, count, camera, seed, noise_px, [18, c, p], camera_place=c, projector_place=p
+        )
+        for c in range(cameras)
+        for p in range(projectors)
+    }
+    return [{pair: stations[k] for pair, stations in pairs.items()} for k in range(count)]
+
+
 def _turned(
-    solid: Solid | None, count: int, camera: tuple[int, int], seed: int, noise_px: float, **thing: Any
+    solid: Solid | None,
+    count: int,
+    camera: tuple[int, int],
+    seed: int,
+    noise_px: float,
+    noise_stream: Sequence[int] = (),
+    **thing: Any,
 ) -> list[ThingStation]:
     rng = np.random.default_rng([seed, 18])
+    noise = np.random.default_rng([seed, *noise_stream]) if noise_stream else rng
     settings = SimulatedRigSettings.model_validate(
         {"seed": seed, "thing": {"kind": "lump", "background": False, **thing}}
     )
@@ -92,7 +122,7 @@ def _turned(
                 turn @ simulated.pose.rotation, simulated.pose.translation + 0.01 * rng.standard_normal(3)
             )
         simulated.stage = TurntableScene(simulated.solid, simulated.pose, settings.thing)
-        found.append(_station(simulated, noise_px, rng))
+        found.append(_station(simulated, noise_px, noise))
     return found
 
 

@@ -1,6 +1,6 @@
 """A simulated thing in front of a rig, the counterpart of `SimulatedRoom`: it can be lit with pictures and viewed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -13,7 +13,7 @@ from hw.simulated.arrays import Light, sparse_matrix
 from hw.simulated.device import Optics, PlacedDevice
 from hw.simulated.illumination import SPILL_PX
 from hw.simulated.picture import PictureOptics
-from hw.simulated.placement import look_at, resized
+from hw.simulated.placement import look_at, resized, zoomed
 from hw.simulated.sensor import Sensor, build_sensor
 from hw.simulated.simulation import calibration_between
 from hw.simulated.things.solids import Solid, draw_solid
@@ -22,6 +22,8 @@ from hw.simulated.things.stage import Hits, TurntableScene, pose_of, reflected
 _STREAM = 300  # stream of random numbers; rooms use others
 _CAMERA, _PROJECTOR = Optics(1224, 1024, 2100.0, (618.0, 508.0)), Optics(854, 480, 1500.0, (431.0, 243.0))
 _AWAY, _APART = 3.4, (1.0, 1.6)  # distances over the size of the thing: of the rig from it, and between the devices
+_ASIDE_DEG, _ABOVE_DEG, _NEARER = (12.0, 30.0), (22.0, 45.0), (0.85, 1.1)  # of further devices of a network
+_CAMERA_STREAM, _PROJECTOR_STREAM = 4, 5
 _SAMPLES = 2
 _KEPT = 4  # of the last solids, because each station asks for its own anew
 
@@ -197,4 +199,24 @@ def _devices(
         lens = Optics(optics.width, optics.height, optics.focal_px, optics.principal_point_px, float(k1))
         rotation = look_at(at, target, np.array([0.0, 0.0, 1.0]), float(rng.uniform(-4, 4)))
         placed.append(PlacedDevice(resized(lens, *image), rotation, at))
-    return Devices(*placed)
+    camera, projector = placed
+    thing, seed = settings.thing, (settings.seed, _STREAM)
+    if thing.camera_place:
+        camera = _elsewhere(camera, target, thing.camera_place, np.random.default_rng([*seed, _CAMERA_STREAM]))
+    if thing.projector_place:
+        beyond = np.random.default_rng([*seed, _PROJECTOR_STREAM])
+        projector = _elsewhere(projector, target, thing.projector_place, beyond)
+    return Devices(camera, projector)
+
+
+def _elsewhere(device: PlacedDevice, target: Floats, place: int, rng: np.random.Generator) -> PlacedDevice:
+    """A device of a network in one of its further places: aside, at another height, with another lens."""
+    x, y, z = device.centre - target
+    for number in range(1, place + 1):
+        across = np.arctan2(y, x) + rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(*_ASIDE_DEG)) * ((number + 1) // 2)
+        above, away = np.radians(rng.uniform(*_ABOVE_DEG)), rng.uniform(*_NEARER) * np.linalg.norm([x, y, z])
+        k1, roll_deg = rng.uniform(-0.05, 0.03), float(rng.uniform(-12, 12))
+    centre = target + away * np.array([np.cos(above) * np.cos(across), np.cos(above) * np.sin(across), np.sin(above)])
+    optics = replace(device.optics, k1=float(k1) if device.optics.k1 else 0.0)
+    rotation = look_at(centre, target, np.array([0.0, 0.0, 1.0]), roll_deg)
+    return zoomed(PlacedDevice(optics, rotation, centre), place)
