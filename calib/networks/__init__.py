@@ -2,6 +2,7 @@
 
 from calib.networks.diagnostics import Strain
 from calib.networks.estimate import NetworkEstimate, estimate_network
+from calib.networks.from_pairs import estimate_from_pairs
 from calib.networks.joined import DepthDisagreement, Joined, joined
 from calib.networks.network import PER_NODE, PLACE, Device, Network
 from calib.networks.observations import PlaneObservation

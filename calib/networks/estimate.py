@@ -1,7 +1,7 @@
 """One maximum-likelihood estimate of all devices of a network and the planes that they share."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,7 +39,8 @@ _EXPLAINED = 2 / 3  # of the cost remains: where walls are not flat, any further
 NO_CORNER_IN_NETWORK = FindingKind(
     "no-corner-in-network",
     "No camera of a network sees three faces of a corner in one projector's light.",
-    "Turn one projector and one camera towards a corner of the room; the others follow from there.",
+    "Turn one projector and one camera towards a corner of the room; the others follow from there. Or take three "
+    "stations or more of something with a pattern, turned and tipped by 10 to 30° in between.",
 )
 
 
@@ -48,7 +49,8 @@ class NetworkEstimate:
     """`names`: of the devices, in the network's order. `covariance` (size, size) of the network's columns, 0 for what
     was held. `noise`: of each pair. `seed`: the pair whose distance is the unit of length. `waves` (P,): by how much
     each plane is not flat, root mean square; 0 where nothing shows it. `warps`: whose picture seems to be warped.
-    `strains`: of each pair that sees a plane.
+    `strains`: of each pair that sees a plane, or that was calibrated by itself. `disagreements`: of pairs that were, by
+    how many sigmas they are off, root mean square; none where a corner calibrates the network.
     """
 
     names: tuple[str, ...]
@@ -61,6 +63,7 @@ class NetworkEstimate:
     waves: Floats
     warps: Warps
     strains: Mapping[PairName, Strain]
+    disagreements: Mapping[PairName, float] = field(default_factory=dict)
 
     @property
     def network(self) -> Network:
@@ -108,9 +111,7 @@ def estimate_network(
     Raises RefusalError if no pair's corner calibrates it, or a device does not connect or is mirrored; ValueError for
     fewer than two pairs, or a device without a size or with both roles.
     """
-    _refuse_wrong_input(captures, sizes)
-    refuse_mirrored(captures, sizes)
-    captures = {pair: matches[evenly(np.ones(len(matches), np.bool_), _MOST)] for pair, matches in captures.items()}
+    captures = checked_captures(captures, sizes)
     cameras = frozenset(camera for camera, _ in captures)
     knowledge = NetworkKnowledge(sizes, cameras, squareness_deg, lenses or {}, points or {})
     seed, start = _seed(captures, knowledge)
@@ -121,6 +122,15 @@ def estimate_network(
             raise not_connected(grown)
         grown = more
     return _estimated(grown.labelled_anew(), shifts or {})
+
+
+def checked_captures(captures: Mapping[PairName, Matches], sizes: Mapping[str, Size]) -> dict[PairName, Matches]:
+    """No more matches of each pair than are of use. Raises RefusalError for a device that is mirrored, ValueError for
+    fewer than two pairs, or a device without a size or with both roles.
+    """
+    _refuse_wrong_input(captures, sizes)
+    refuse_mirrored(captures, sizes)
+    return {pair: matches[evenly(np.ones(len(matches), np.bool_), _MOST)] for pair, matches in captures.items()}
 
 
 def _refuse_wrong_input(captures: Mapping[PairName, Matches], sizes: Mapping[str, Size]) -> None:

@@ -99,7 +99,7 @@ _NEARLY_ALL = 0.9  # of a pair's matches on a plane that have labels: the others
 _PARALLEL, _ON_PLANE = float(np.cos(np.radians(3.0))), 0.01  # the latter of the distance
 _SAMPLE = 3_000
 _ROUNDS = 2
-_FEWEST = 30  # known points, to place a device
+FEWEST_TO_PLACE = 30  # known points
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class Grown:
             for pair, points, pixels in candidates:
                 new = pair[0] if pair[0] not in self.names else pair[1]
                 size = self.knowledge.sizes[new]
-                if len(points) < _FEWEST:
+                if len(points) < FEWEST_TO_PLACE:
                     continue
                 found = (
                     placed_before_wall(points, pixels, size, self.knowledge.point(new).px)

@@ -160,9 +160,13 @@ class Overlaps:
         return pose @ (depth[there][:, None] * rays), seen.pixels[there]
 
     def joints(
-        self, network: Network, names: tuple[str, ...], labelled: Mapping[PairName, Matches]
+        self,
+        network: Network,
+        names: tuple[str, ...],
+        labelled: Mapping[PairName, Matches],
+        calibrated: Collection[PairName] = (),
     ) -> Iterator[SharedPoints]:
-        """What ties devices where matches are on no plane."""
+        """What ties devices where matches are on no plane; of pairs that are `calibrated` alone, what is new."""
         hubs = {hub: self._partners(hub, labelled) for hub in self.rasters if hub in names}
         hubs = {hub: others for hub, others in hubs.items() if len(others) > 1}
         for hub, others in hubs.items():
@@ -173,6 +177,7 @@ class Overlaps:
                 self._loose(hub, labelled),
                 network,
                 {names.index(other): 1 + (other in hubs) for other in others},
+                [names.index(other) for other in others if {(hub, other), (other, hub)} & set(calibrated)],
             )
             if found is not None:
                 yield found

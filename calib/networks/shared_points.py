@@ -5,7 +5,7 @@ the hub's ray the point is, is estimated for each point, and eliminated from the
 of bundle adjustment; Triggs et al., "Bundle adjustment – a modern synthesis", 2000).
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +28,8 @@ _BEHIND = 100.0
 class SharedPoints:
     """`pixels` (M, 2) of the device `hub`; `seen` (M, K, 2) of the devices `others`, and `variance` (M, K) of each
     coordinate there, infinite where one does not see the point. `depths` (M,) along the hub's rays of z = 1, roughly.
+    `along` (K,): which of the others tell only where along the hub's ray the point is, for their pixels' distances from
+    its picture, an epipolar line, are counted elsewhere; () for none.
     """
 
     hub: int
@@ -36,6 +38,7 @@ class SharedPoints:
     seen: Floats
     variance: Floats
     depths: Floats
+    along: tuple[bool, ...] = ()
 
     def columns(self, network: Network) -> Ints:
         """Those of the hub, then of all others, (18 (K + 1),)."""
@@ -45,8 +48,9 @@ class SharedPoints:
     @cached_property
     def freedom(self) -> Ints:
         """Of each point (M,): two coordinates in each other's image, less the depth."""
-        number: Ints = 2 * np.count_nonzero(np.isfinite(self.variance), axis=1) - 1
-        return number
+        coordinates = np.where(self.along, 1, 2) if self.along else 2
+        number = np.sum(coordinates * np.isfinite(self.variance), axis=1, dtype=np.int64) - 1
+        return np.asarray(number, np.int64)
 
     def misfit(self, network: Network) -> tuple[float, Floats, Floats]:
         """Cost under Huber's loss, half its gradient (Q,) and its Gauss–Newton Hessian (Q, Q), of `columns`."""
@@ -67,14 +71,16 @@ class SharedPoints:
 
     def relative(self, network: Network) -> tuple[Floats, Floats]:
         """χ² of each point, over what half of all points would be below, (M,); and by how many sigmas the first device
-        that sees it is off, across the line that the hub's ray is in its image, (M,).
+        that sees it is off, across the line that the hub's ray is in its image, or along it if only that counts, (M,).
         """
         off, by_depth, _, ahead = self._linearised(network)
         square = np.sum(off**2 / self.variance[..., None], axis=(1, 2)) / scipy.special.chdtri(self.freedom, 0.5)
         first = np.arange(len(off)), np.argmax(np.isfinite(self.variance), axis=1)
         own, way = off[first], by_depth[first] / np.linalg.norm(by_depth[first], axis=1, keepdims=True)
-        across = (own[:, 0] * way[:, 1] - own[:, 1] * way[:, 0]) / np.sqrt(self.variance[first])
-        return np.where(ahead, square, np.inf), np.where(ahead, across, 0.0)
+        across = own[:, 0] * way[:, 1] - own[:, 1] * way[:, 0]
+        if any(self.along):
+            across = np.where(np.array(self.along)[first[1]], np.sum(own * way, axis=1), across)
+        return np.where(ahead, square, np.inf), np.where(ahead, across / np.sqrt(self.variance[first]), 0.0)
 
     def _linearised(self, network: Network) -> tuple[Floats, Floats, Floats, Bools]:
         """At the best depths: how far predictions are off (M, K, 2), how these follow the depth, and the columns
@@ -112,6 +118,12 @@ class SharedPoints:
             own[..., :PER_DEVICE], own[..., WARP] = by_lens, by_warp
             own[..., PER_DEVICE : PLACE.start], own[..., PLACE] = to_pixels @ cross_matrix(points), -to_pixels
         jacobian[~known | ~ahead[:, None]] = 0.0
+        for k, is_along in enumerate(self.along):
+            if not is_along:
+                continue
+            way = by_depth[:, k] / np.maximum(np.linalg.norm(by_depth[:, k], axis=1, keepdims=True), 1e-300)
+            off[:, k] = np.sum(off[:, k] * way, axis=1)[:, None] * way
+            jacobian[:, k] = way[:, :, None] * (way[:, None] @ jacobian[:, k])
         return off, by_depth, jacobian, ahead
 
     def _predicted(
@@ -146,11 +158,13 @@ def shared_points(
     loose: Bools,
     network: Network,
     repeats: Mapping[int, int],
+    along: Collection[int] = (),
 ) -> SharedPoints | None:
     """Of the cells `loose` (h, w) that two devices or more see; None of too few.
 
-    `seen`: by number of the other device. `repeats`: how many hubs each one's matches are counted in. Variances are as
-    much larger than noise as the residuals show, and as errors that are alike over blocks show.
+    `seen`: by number of the other device. `repeats`: how many hubs each one's matches are counted in. `along`: the
+    others as of `SharedPoints`. Variances are as much larger than noise as the residuals show, and as errors that are
+    alike over blocks show.
     """
     others = tuple(seen)
     there = np.stack([np.isfinite(seen[k].pixels).all(axis=-1) for k in others], axis=-1) & loose[..., None]
@@ -179,6 +193,7 @@ def shared_points(
         np.where(known[..., None], pixels, 0.0),
         np.where(known, variance, np.inf),
         first[good, 0],
+        tuple(k in along for k in others) if along else (),
     )
     relative, across = found.relative(network)
     larger = max(1.0, float(np.median(relative)))

@@ -158,8 +158,8 @@ class KnownRig:
         """Return the step (21,) from the known state to `state`."""
         return replace(self.state.rig, off_square=state.off_square, corners=state.corners).step_to(state)[:SHARED]
 
-    def misfit(self, state: State) -> tuple[float, Floats, Floats]:
-        """Return the cost of a state, half its gradient (21,) and half its Hessian (21, 21) in the state's columns."""
+    def linearised(self, state: State) -> tuple[Floats, Floats]:
+        """The step (21,) from the known state to a state, and its derivatives (21, 21) by the state's columns."""
         step = self.step_to(state)
         by_columns = np.eye(SHARED)
         # Derivative of log(exp[δ] R) by δ: the inverse of the left Jacobian of SO(3), to second order.
@@ -167,5 +167,10 @@ class KnownRig:
         by_columns[ROTATION, ROTATION] -= turn / 2 - turn @ turn / 12
         known, own = (tangent_basis(pose.translation) for pose in (self.state.pose, state.pose))
         by_columns[TRANSLATION, TRANSLATION] = known.T @ own
+        return step, by_columns
+
+    def misfit(self, state: State) -> tuple[float, Floats, Floats]:
+        """Return the cost of a state, half its gradient (21,) and half its Hessian (21, 21) in the state's columns."""
+        step, by_columns = self.linearised(state)
         pull = self.precision @ step
         return float(step @ pull), by_columns.T @ pull, by_columns.T @ self.precision @ by_columns

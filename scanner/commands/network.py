@@ -16,8 +16,18 @@ def run(args: NetworkCommand) -> None:
     config = args.settings.load()
     if not args.captures and args.settings.config is None:
         raise InputError("give captures of pairs, or --config FILE with the devices to take them")
+    if args.captures and args.stations is not None:
+        raise InputError(
+            "--stations captures with the devices of --config; captures that exist are of stations already"
+        )
     solved = scan_network(
-        config, out, folders=args.captures, known=known, overwrite=args.output.overwrite, terminal=terminal
+        config,
+        out,
+        folders=args.captures,
+        stations=1 if args.stations is None else args.stations,
+        known=known,
+        overwrite=args.output.overwrite,
+        terminal=terminal,
     )
     estimate = solved.estimate
     for name in estimate.names:

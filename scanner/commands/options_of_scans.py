@@ -200,17 +200,22 @@ class NetworkCommand(Command):
     more: ClassVar[str] = """
 Each capture is of one camera in one projector's light, in a folder named <camera>-<projector>. One pair sees a corner
 of the room; the others follow where a camera sees two projectors' light, or a projector's light is seen by two cameras.
+Without a corner, give three stations or more: folders, each with captures of all pairs, between which something rigid
+with print or pattern was turned and tipped before the devices, by 10 to 30° each time.
 
-Exit codes: 4 if no corner calibrates a pair, a device does not connect, or the cameras contradict each other.
+Exit codes: 4 if neither a corner nor what stations share calibrates a pair, a device does not connect, or the cameras
+contradict each other.
 """
 
     captures: list[Path] = argument(
         "CAPTURE",
-        "folders named <camera>-<projector>, in any order; none to capture with the devices in rigs of --config",
+        "folders named <camera>-<projector>, in any order, or folders of those; none to capture with the devices in "
+        "rigs of --config",
         nargs="*",
         existing="no such file or folder",
     )
     settings: ConfigOptions = with_settings()
+    stations: int | None = option("capture so often, and turn what stands before the devices in between", "N")
     distance: str | None = option("known distance between two devices, as in left,stage,2.35m", "A,B,LENGTH")
     output: Output = with_output("scans/network")
 

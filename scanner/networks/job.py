@@ -5,11 +5,11 @@ from pathlib import Path
 
 from scanner.configuration import Config
 from scanner.networks.captures import Captures, read_pairs
-from scanner.networks.live import pairs_to_take, take_pairs
+from scanner.networks.live import check_stations, pairs_to_take, take_stations
 from scanner.networks.save import save_network
 from scanner.networks.sights import OnSight, nobody
 from scanner.networks.solve import KnownDistance, SolvedNetwork, refuse_unknown, solve_network
-from scanner.results import Job
+from scanner.results import CAPTURES_FOLDER, Job
 from scanner.ui import SILENT, Progress, Terminal
 
 
@@ -18,6 +18,7 @@ def scan_network(
     out: Path,
     *,
     folders: Sequence[Path] = (),
+    stations: int = 1,
     known: KnownDistance | None = None,
     overwrite: bool = False,
     terminal: Terminal = SILENT,
@@ -25,7 +26,7 @@ def scan_network(
     on_sight: OnSight = nobody,
 ) -> SolvedNetwork:
     """Calibrate all devices together from captures of their pairs in `folders`; or capture all pairs of the configured
-    devices.
+    devices, at as many `stations`.
 
     `progress` receives the progress (default: the `terminal`), as in `scanner.jobs.scan`; `on_sight` is told of each
     pair, and of its frames. Raises InputError, DeviceError, RefusalError.
@@ -33,10 +34,15 @@ def scan_network(
     pairs = {} if folders else pairs_to_take(config)
     if pairs:
         refuse_unknown(known, {name for pair in pairs for name in pair})
+        check_stations(pairs, stations, terminal)
     observer = progress or terminal
 
     def acquire(folder: Path) -> Captures:
-        captures = take_pairs(pairs, folder, observer, on_sight) if pairs else read_pairs(folders, config, terminal)
+        captures = (
+            take_stations(pairs, stations, folder / CAPTURES_FOLDER, terminal, observer, on_sight)
+            if pairs
+            else read_pairs(folders, config, terminal)
+        )
         refuse_unknown(known, captures.sizes)
         return captures
 

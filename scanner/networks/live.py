@@ -5,15 +5,19 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from calib.geometry import Size
-from hw.open_rig import OpenedNetwork, open_network
+from calib.scene import FEWEST_STATIONS
+from hw.open_rig import OpenedNetwork, at_place, moves_by_itself, open_network, turns_by_itself
 from hw.real_devices import PairSettings
 from scanner.acquisition import PlannedCapture, take_together
+from scanner.capture import check_places
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.networks.captures import Captures, Pair, labelled
+from scanner.networks.captures import Captures, Pair, captures_of, folder_of
 from scanner.networks.sights import OnSight, PairProgress, Watched, nobody
-from scanner.results import CAPTURES_FOLDER, Decoded
-from scanner.ui import Progress
+from scanner.results import Decoded
+from scanner.ui import Operator, Progress
+
+_TURN_IT = "Turn or tip what stands before the network by 10 to 30°, and leave the devices as they are"
 
 
 def pairs_to_take(config: Config) -> dict[Pair, Config]:
@@ -37,13 +41,55 @@ def pairs_to_take(config: Config) -> dict[Pair, Config]:
     return pairs
 
 
-def take_pairs(pairs: Mapping[Pair, Config], folder: Path, progress: Progress, on_sight: OnSight = nobody) -> Captures:
-    """Capture all pairs, each recorded in a folder of its own: projector by projector, while all others show black.
+def check_stations(pairs: Mapping[Pair, Config], stations: int, operator: Operator) -> None:
+    """Raise InputError for a number that tells nothing, or that nobody could be asked to turn things for."""
+    if not pairs or stations == 1:
+        return
+    if stations < FEWEST_STATIONS:
+        raise InputError(
+            f"--stations: expected {FEWEST_STATIONS} or more, or 1 before a corner of a room, found {stations}"
+        )
+    for config in pairs.values():
+        rig = config.required_rig
+        if moves_by_itself(rig) and not turns_by_itself(rig):
+            raise InputError(f"--stations {stations}: in a simulated room nothing turns; set rig.thing.kind")
+        check_places(rig, stations, operator, option="--stations", joined="scan network")
+
+
+def take_stations(
+    pairs: Mapping[Pair, Config],
+    stations: int,
+    folder: Path,
+    operator: Operator,
+    progress: Progress,
+    on_sight: OnSight = nobody,
+) -> Captures:
+    """Capture all pairs at as many stations, or fewer if the operator ends. Between them, unless devices are simulated,
+    the operator turns what stands before the network.
 
     Raises DeviceError, StorageError; what was captured before stays.
     """
-    decoded: dict[Pair, Decoded] = {}
     sizes: dict[str, Size] = {}
+    for (camera, projector), config in pairs.items():
+        sizes |= {camera: config.camera_size, projector: config.projector_size}
+    taken: list[dict[Pair, Decoded]] = []
+    for step in range(stations):
+        by_itself = all(moves_by_itself(config.required_rig) for config in pairs.values())
+        if step and not by_itself and not operator.ready(f"Station {step} of {stations} is done. {_TURN_IT}"):
+            break
+        at = {
+            pair: config.model_copy(update={"rig": at_place(config.required_rig, step)})
+            for pair, config in pairs.items()
+        }
+        taken.append(_take_pairs(at, folder_of(folder, step), progress, on_sight))
+    return captures_of(taken, sizes, pairs.__getitem__)
+
+
+def _take_pairs(
+    pairs: Mapping[Pair, Config], folder: Path, progress: Progress, on_sight: OnSight
+) -> dict[Pair, Decoded]:
+    """Capture all pairs, each recorded in a folder of its own: projector by projector, while all others show black."""
+    decoded: dict[Pair, Decoded] = {}
     for pair in pairs:
         on_sight(PairProgress(*pair), None)
     wanted = {
@@ -56,17 +102,16 @@ def take_pairs(pairs: Mapping[Pair, Config], folder: Path, progress: Progress, o
         for together in _shown_once(pairs, network):
             planned: list[PlannedCapture] = []
             for camera, projector in together:
-                config, place = pairs[camera, projector], folder / CAPTURES_FOLDER / f"{camera}-{projector}"
+                config, place = pairs[camera, projector], folder / f"{camera}-{projector}"
                 place.mkdir(parents=True)
                 name = f"{camera} sees {projector} ({len(decoded) + len(planned) + 1} of {len(pairs)})"
                 planned.append(PlannedCapture(name, config, place))
-                sizes |= {camera: config.camera_size, projector: config.projector_size}
             rig = network.rig(together[0][1], [camera for camera, _ in together])
             with Watched(together, progress, on_sight) as watched:
                 for pair, capture in zip(together, take_together(rig, planned, watched), strict=True):
-                    decoded[pair] = labelled(capture, pairs[pair])
+                    decoded[pair] = capture
                     watched.decoded(pair, capture)
-    return Captures(decoded, sizes)
+    return decoded
 
 
 def _shown_once(pairs: Mapping[Pair, Config], network: OpenedNetwork) -> Iterator[Sequence[Pair]]:

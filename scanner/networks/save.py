@@ -10,6 +10,7 @@ from calib.numerics import Floats
 from calib.pointcloud import MergedCloud, colours_of
 from scanner.configuration import Config
 from scanner.io import MATCHES_FILE, write_matches, write_room, write_room_ply
+from scanner.networks.captures import folder_of
 from scanner.networks.graph import network_graph
 from scanner.networks.sights import PairProgress
 from scanner.networks.solve import SolvedNetwork
@@ -52,10 +53,14 @@ def save_network(network: SolvedNetwork, folder: Path, config: Config) -> Verdic
     verdict = verdict_on(network)
     entries = provenance(folder, config).entries({}) | verdict_entries(verdict) | entries_of(network)
     write_room(folder / NETWORK_FILE, entries)
-    for (camera, projector), capture in network.captures.decoded.items():
-        place = folder / CAPTURES_FOLDER / f"{camera}-{projector}"
-        place.mkdir(parents=True, exist_ok=True)
-        write_matches(place / MATCHES_FILE, capture.matches)
+    for number, station in enumerate(network.captures.stations):
+        of_station = folder_of(folder / CAPTURES_FOLDER, number)
+        for (camera, projector), capture in station.items():
+            place = of_station / f"{camera}-{projector}"
+            place.mkdir(parents=True, exist_ok=True)
+            write_matches(place / MATCHES_FILE, capture.matches)
+        if number:
+            write_room_ply(of_station / NETWORK_CLOUD_FILE, cloud_of(network, number), _FRAME)
     cloud = cloud_of(network)
     write_room_ply(folder / NETWORK_CLOUD_FILE, cloud, _FRAME)
     _write_page(folder / REPORT_FILE, network, verdict, cloud, config)
@@ -109,15 +114,16 @@ def entries_of(network: SolvedNetwork) -> dict[str, Any]:
     return {"unit": network.unit, "devices": devices, "planes": planes, **of_surfaces, **of_devices}
 
 
-def cloud_of(network: SolvedNetwork) -> MergedCloud:
-    """All projectors' light: each point once, by all cameras that saw it."""
+def cloud_of(network: SolvedNetwork, station: int = 0) -> MergedCloud:
+    """All projectors' light at a station: each point once, by all cameras that saw it."""
     points, normals, colours = [], [], []
-    for projector, surface in network.surfaces.items():
+    decoded, surfaces = network.captures.stations[station], (network.surfaces, *network.further)[station]
+    for projector, surface in surfaces.items():
         there = np.isfinite(surface.points[..., 2])
         normal = _normals(surface.points, network.estimate.device(projector).pose.translation)
         colour = np.full((*there.shape, 3), 128, np.uint8)
         for camera, pixels in surface.seen_px.items():
-            texture = network.captures.decoded[camera, projector].texture
+            texture = decoded[camera, projector].texture
             if texture is None:
                 continue
             known = np.isfinite(pixels[..., 0]) & there
@@ -191,6 +197,7 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Mer
         provenance=provenance(path.parent, config),
         subtitle=f"{len(cameras)} cameras, {len(network.surfaces)} projectors, {len(cloud.points):,} points.",
         devices=rows,
+        walls=bool(estimate.network.planes),
         graph=network_graph([PairProgress.of(pair, capture) for pair, capture in network.captures.decoded.items()]),
         unit=network.unit,
     )

@@ -5,12 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.finding import Finding
 from calib.networks import Joined, NetworkEstimate, estimate_network, joined
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.networks.captures import Captures
+from scanner.networks.captures import Captures, Pair
+from scanner.networks.scenes import calibrate_by_scene
 from scanner.quantities import UNKNOWN_UNIT, parse_length
 from scanner.reconstruction import lenses_by_name, shifts_of
+from scanner.results import Decoded
 from scanner.ui import Progress
 
 _METRES = "m"
@@ -18,15 +21,21 @@ _METRES = "m"
 
 @dataclass(frozen=True, eq=False)
 class SolvedNetwork:
-    """`factor`: length of the estimate's unit in `unit`. `surfaces`: of each projector's light."""
+    """All devices, and what they measured."""
 
     captures: Captures
     estimate: NetworkEstimate
     surfaces: Mapping[str, Joined]
+    """Of each projector's light; of several stations at the first."""
     factor: float
+    """The length of the estimate's unit in `unit`."""
     unit: str
     known: tuple[str, str] | None = None
     """Devices whose distance gives the scale."""
+    further: tuple[Mapping[str, Joined], ...] = ()
+    """The surfaces at further stations."""
+    findings: tuple[Finding, ...] = ()
+    """What is worth knowing of the estimate."""
 
 
 @dataclass(frozen=True)
@@ -56,29 +65,40 @@ def refuse_unknown(known: KnownDistance | None, devices: Collection[str]) -> Non
 
 
 def solve_network(captures: Captures, known: KnownDistance | None, config: Config, progress: Progress) -> SolvedNetwork:
-    """Raises RefusalError if no corner calibrates a pair, or a device does not connect; InputError."""
-    matches = {pair: capture.matches for pair, capture in captures.decoded.items()}
-    cameras, projectors = ({pair[role]: captures.sizes[pair[role]] for pair in matches} for role in (0, 1))
+    """Raises RefusalError if neither a corner nor what stations share calibrates a pair, or a device does not connect;
+    InputError.
+    """
+    cameras, projectors = ({pair[role]: captures.sizes[pair[role]] for pair in captures.decoded} for role in (0, 1))
     points = {name: config.of_device(name).principal_point(size) for name, size in cameras.items()}
-    with progress.step("Calibrating all devices together"):
-        estimate = estimate_network(
-            matches,
-            captures.sizes,
-            squareness_deg=config.corner.squareness_deg,
-            lenses=lenses_by_name(config, cameras, projectors),
-            points=points,
-            shifts={pair: shifts_of(capture) for pair, capture in captures.decoded.items()},
-        )
+    lenses = lenses_by_name(config, cameras, projectors)
+    findings: tuple[Finding, ...] = ()
+    if captures.further:
+        estimate, findings = calibrate_by_scene(captures, config, progress, lenses=lenses, points=points)
+    else:
+        with progress.step("Calibrating all devices together"):
+            estimate = estimate_network(
+                {pair: capture.matches for pair, capture in captures.decoded.items()},
+                captures.sizes,
+                squareness_deg=config.corner.squareness_deg,
+                lenses=lenses,
+                points=points,
+                shifts={pair: shifts_of(capture) for pair, capture in captures.decoded.items()},
+            )
     factor, unit = 1.0, UNKNOWN_UNIT
     if known is not None:
         ends = [estimate.device(name).pose.translation for name in (known.first, known.second)]
         factor, unit = known.length_m / float(np.linalg.norm(ends[1] - ends[0])), _METRES
     with progress.step("Joining the cameras' surfaces"):
-        surfaces = {
-            projector: joined(
-                estimate, projector, {c: pair_matches for (c, p), pair_matches in matches.items() if p == projector}
-            )
-            for projector in sorted({projector for _, projector in matches})
-        }
+        surfaces, *further = (_surfaces_of(estimate, station) for station in captures.stations)
     ends_known = None if known is None else (known.first, known.second)
-    return SolvedNetwork(captures, estimate, surfaces, factor, unit, ends_known)
+    return SolvedNetwork(captures, estimate, surfaces, factor, unit, ends_known, tuple(further), findings)
+
+
+def _surfaces_of(estimate: NetworkEstimate, station: Mapping[Pair, Decoded]) -> dict[str, Joined]:
+    """Of each projector's light."""
+    return {
+        projector: joined(
+            estimate, projector, {c: capture.matches for (c, p), capture in station.items() if p == projector}
+        )
+        for projector in sorted({projector for _, projector in station})
+    }

@@ -17,6 +17,8 @@ _APART, _FAR_APART, _OF_SIGMAS = 0.002, 0.02, 3.0
 # lenses and decoding leave. Cells that are further off follow another network than all others.
 _STRAINED, _FOREIGN = 3.0, 15.0
 _STRAINED_PX, _FOREIGN_PX = 0.1, 0.3
+# By how many sigmas, root mean square over ten or so, pairs that are calibrated by themselves differ from the network.
+_DIFFERENT, _FAR_DIFFERENT = 2.0, 5.0
 _NO_WALLS = 0.005  # of the distance: heights over planes that are none
 
 MOVED = "Something moved between the captures, or a folder has another device's name: take these two again."
@@ -47,6 +49,12 @@ CAMERAS_DISAGREE = FindingKind(
     "Two cameras of a network see one surface at different places.",
     "Check that nothing moved between the captures, and that the projectors correct no keystone.",
     ("apart_share", "expected_share"),
+)
+PAIR_DISAGREES = FindingKind(
+    "pair-disagrees",
+    "The stations of one pair of a network calibrate it otherwise than all pairs together do.",
+    "Check that no device was touched between the stations, zoom and focus included, and take them again.",
+    ("deviation_ratio",),
 )
 LOOSE_DEVICE = FindingKind(
     "loose-device",
@@ -107,11 +115,25 @@ def _refusals(network: SolvedNetwork) -> Iterator[Finding]:
             MOVED,
             {"uneven_share": strain.uneven},
         )
+    yield from _differing(network, Severity.REFUSAL, _FAR_DIFFERENT, np.inf)
     for pair in _disagreements(network):
         if _is_apart(pair, _FAR_APART):
             off = f"they are {percent(pair.relative)} apart"
             message = f"{pair.first} and {pair.second} do not see one surface: {off}."
             yield Finding(CAMERAS_DISAGREE, Severity.REFUSAL, message, MOVED, _distances(pair))
+
+
+def _differing(network: SolvedNetwork, severity: Severity, least: float, most: float) -> Iterator[Finding]:
+    """The pair whose own calibration differs most from the network, if by as many sigmas."""
+    differences = network.estimate.disagreements
+    camera, projector = max(differences, key=differences.__getitem__, default=("", ""))
+    sigmas = differences.get((camera, projector), 0.0)
+    if least <= sigmas < most:
+        message = (
+            f"the stations of {camera} in the light of {projector} calibrate it otherwise than all pairs together, by "
+            f"{sigmas:.1f} sigmas."
+        )
+        yield Finding(PAIR_DISAGREES, severity, message, PAIR_DISAGREES.remedy, {"deviation_ratio": sigmas})
 
 
 def _warped(network: SolvedNetwork) -> Iterator[Finding]:
@@ -155,6 +177,7 @@ def _doubts(network: SolvedNetwork) -> Iterator[Finding]:
             CHECK,
             {"off_px": strain.across_px, "noise_px": strain.noise_px},
         )
+    yield from _differing(network, Severity.WARNING, _DIFFERENT, _FAR_DIFFERENT)
     loose = max(estimate.names, key=lambda name: float(estimate.sigmas(name)[0]))
     sigma = float(estimate.sigmas(loose)[0])
     if sigma > MEASUREMENT_GRADE:
@@ -172,6 +195,7 @@ def _doubts(network: SolvedNetwork) -> Iterator[Finding]:
 
 
 def _notes(network: SolvedNetwork) -> Iterator[Finding]:
+    yield from network.findings
     for first, second, apart in network.estimate.alike:
         yield Finding(
             STANDING_ALIKE,
@@ -194,13 +218,16 @@ def _distances(pair: DepthDisagreement) -> dict[str, Datum]:
 
 
 def _disagreements(network: SolvedNetwork) -> list[DepthDisagreement]:
-    """The largest first."""
-    disagreements = (disagreement for surface in network.surfaces.values() for disagreement in surface.disagreements)
+    """Of all stations, the largest first."""
+    stations = (network.surfaces, *network.further)
+    surfaces = (surface for station in stations for surface in station.values())
+    disagreements = (disagreement for surface in surfaces for disagreement in surface.disagreements)
     return sorted(disagreements, key=lambda disagreement: -disagreement.relative)
 
 
 def _reasons(network: SolvedNetwork) -> Iterator[str]:
     estimate = network.estimate
+    yield from (finding.message for finding in network.findings)
     for first, second, apart in estimate.alike:
         yield (
             f"{first} and {second} stand almost in one place, {percent(apart)} of the distance of what they see apart."

@@ -146,8 +146,9 @@ def _is_complete(folder: Path) -> bool:
 
 
 def _whole(folder: Path) -> list[Path]:
-    """The captures of several that were over."""
-    return sorted((folder / CAPTURES_FOLDER).glob("*/"))
+    """The captures of several that were over; of a network's further stations those in their folders."""
+    captures = (folder / CAPTURES_FOLDER).glob("*/")
+    return sorted(path for capture in captures for path in [*capture.glob("*-*/")] or [capture])
 
 
 def frames_in(folder: Path) -> int:

@@ -177,7 +177,9 @@ def test_pairs_that_share_no_device_are_named(
         (["a-p"], (), "needs two captures or more, found 1"),
         (["a-p", "b"], (), "expected a folder named <camera>-<projector>"),
         (["a-p", "b-c-p"], (), "expected a folder named <camera>-<projector>"),
-        (["a-p", "x/a-p"], (), "each pair counts once"),
+        (["a-p", "x/a-p"], (), "all captures are of a-p"),
+        (["a-p", "b-p", "x/a-p", "y/a-p", "y/b-p"], (), "x: b-p is missing, which other stations have"),
+        (["a-p", "b-p"], ("--stations", "3"), "--stations captures with the devices of --config"),
         (["a-p", "p-q"], (), "'p' names a camera in one capture and a projector in another"),
         (["a-p", "b-p"], ("--distance", "a,b"), "expected two devices and a length"),
     ],
@@ -191,6 +193,16 @@ def test_wrong_networks_are_refused(
 
     assert message in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "hall").exists()
+
+
+def test_two_stations_are_too_few_without_a_corner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("one/a-p", "one/b-p", "two/a-p", "two/b-p"):
+        write_capture(tmp_path / name)
+
+    assert run("network", tmp_path / "one", tmp_path / "two", "--out", tmp_path / "hall") == 4
+
+    assert "2 stations without a corner determine no network" in " ".join(capsys.readouterr().err.split())
+    assert "too-few-stations" in (tmp_path / "hall" / "refused.yaml").read_text()
 
 
 def test_a_mirrored_capture_is_named(
