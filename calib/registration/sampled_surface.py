@@ -121,11 +121,11 @@ def sample_surface(points: Floats, normals: Floats | None, cell: float, noise: f
     known = normals if normals is not None and _are_usable(normals) else None
     if known is None:
         means, _, count, spread = _means(points, np.broadcast_to([0.0, 0.0, 1.0], points.shape), None, cell)
-        _require(means)
+        _require(means, points, cell)
         found = scattered_surface(means[None].astype(np.float32)).normals[0].astype(np.float64)
         return SampledSurface(means, _oriented(means, found), count, spread, cell, noise, False)
     means, directions, count, spread = _means(points, known, None, cell)
-    _require(means)
+    _require(means, points, cell)
     if _are_opposed(means, directions):
         found = scattered_surface(means[None].astype(np.float32)).normals[0].astype(np.float64)
         return SampledSurface(means, _oriented(means, found), count, spread, cell, noise, False)
@@ -224,9 +224,13 @@ def _from_planes(points: Floats, some: Floats) -> Floats:
     return np.maximum(squares, 0.0) / (_OF_NOISE - 3)
 
 
-def _require(means: Floats) -> None:
+def _require(means: Floats, points: Floats, cell: float) -> None:
     if len(means) <= _NEIGHBOURS:
-        raise ValueError(f"a surface needs more than {_NEIGHBOURS} different points, found {len(means)}")
+        raise ValueError(
+            f"both are compared in cells {cell:.3g} wide, after the spacing of the sparser one; "
+            f"{len(points):,} points, {extent_of(points, 0.0):.3g} across, cover {len(means)} cells, "
+            f"expected more than {_NEIGHBOURS}: is one of them in another unit, or too sparse?"
+        )
 
 
 def _are_usable(normals: Floats) -> bool:

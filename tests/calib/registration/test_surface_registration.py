@@ -72,6 +72,15 @@ def test_a_scale_is_estimated() -> None:
     assert abs(np.log(found.best.scale / 250.0)) < 4 * sigma
 
 
+def test_a_surface_in_another_unit_is_told_from_one_of_few_points() -> None:
+    points = BLOB.cloud(2000, 5)[0]
+    smaller, sparser = SurfacePoints(points / 1000.0), SurfacePoints(points[:9])
+    with pytest.raises(ValueError, match=r"2,000 points, 0\.\d+ across, cover 1 cells, expected more than 12"):
+        register_surfaces(SurfacePoints(points), smaller)
+    with pytest.raises(ValueError, match=r"cells \d\d\.\d wide, .* cover \d+ cells.* too sparse\?"):
+        register_surfaces(SurfacePoints(points), sparser)
+
+
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_the_answer_is_the_same_in_any_unit(unit: float) -> None:
     (points, normals), part, truth = BLOB.cloud(20_000, 3), BLOB.cloud(15_000, 4, (0, 1, 0.3)), a_pose(3)
