@@ -16,6 +16,7 @@ from calib.geometry import Pose, cross_matrix
 from calib.numerics import Floats
 from calib.registration.agreement import FINE, GATES
 from calib.registration.keypoints import match_keypoints
+from calib.registration.plane_step import step_pose
 from calib.registration.projection import add_patches
 from calib.registration.range_view import Surfaces
 
@@ -46,11 +47,13 @@ def normal_equations(
     still_place: Pose,
     tolerance: float,
     patches: int | None = None,
+    centre: Floats | None = None,
 ) -> NormalEquations:
     """Normal equations for the twist of `moving`, from the patches of both; for `still`, the gradient changes its sign.
 
-    `tolerance`: relative to the depth, beyond the noise.
+    `tolerance`: relative to the depth, beyond the noise. `centre` (3,): of the rotation, the origin by default.
     """
+    centre = np.zeros(3) if centre is None else centre
     matrix, pulls = np.zeros((6, 6)), np.zeros((2, 6))
     noise, pose = 3 * (moving.noise + still.noise), still_place.inverse() @ place
     square, weight, count = 0.0, 0.0, 0
@@ -58,24 +61,18 @@ def normal_equations(
         (moving, still, still_place, pose, pulls[0]),
         (still, moving, place, pose.inverse(), pulls[1]),
     ):
-        some, (turn, shift) = (
-            one.patches.first(patches),
-            (np.ascontiguousarray(to_other.rotation), to_other.translation),
-        )
-        room = np.ascontiguousarray(at.rotation), at.translation
-        sums = add_patches(other.image, some, turn, shift, GATES, tolerance, noise, *room, matrix, pull)
+        turn, room = np.ascontiguousarray(to_other.rotation), np.ascontiguousarray(at.rotation)
+        some, shift, arm = one.patches.first(patches), to_other.translation, at.translation - centre
+        sums = add_patches(other.image, some, turn, shift, GATES, tolerance, noise, room, arm, matrix, pull)
         square, weight, count = square + sums[1], weight + sums[2], count + sums[3]
-    keypoints = _of_keypoints(moving, place, still, still_place, tolerance)
+    keypoints = _of_keypoints(moving, place, still, still_place, tolerance, centre)
     matrix, gradient = matrix + keypoints[:, :6], pulls[0] - pulls[1] + keypoints[:, 6]
     return NormalEquations(matrix, gradient, square, weight, count)
 
 
-def _contiguous(pose: Pose) -> tuple[Floats, Floats]:
-    """Rotation and translation, as compiled loops take them."""
-    return np.ascontiguousarray(pose.rotation), pose.translation
-
-
-def _of_keypoints(moving: Surfaces, place: Pose, still: Surfaces, still_place: Pose, tolerance: float) -> Floats:
+def _of_keypoints(
+    moving: Surfaces, place: Pose, still: Surfaces, still_place: Pose, tolerance: float, centre: Floats
+) -> Floats:
     """Normal matrix and gradient (6, 7) of matching keypoints that should coincide, with Tukey's weights."""
     own, matching = match_keypoints(moving.keypoints, still.keypoints)
     if not len(own):
@@ -89,7 +86,7 @@ def _of_keypoints(moving: Surfaces, place: Pose, still: Surfaces, still_place: P
         return np.zeros((6, 7))
     points, off = points[near], off[near]
     weight = ((1 - relative[near] ** 2) / depth[near]) ** 2
-    by_twist = np.concatenate([cross_matrix(points), np.broadcast_to(np.eye(3), (len(off), 3, 3))], 1)
+    by_twist = np.concatenate([cross_matrix(points - centre), np.broadcast_to(np.eye(3), (len(off), 3, 3))], 1)
     sums = np.empty((6, 7))
     sums[:, :6] = np.einsum("n,nia,nja->ij", weight, by_twist, by_twist)
     sums[:, 6] = np.einsum("n,nia,na->i", weight, by_twist, off)
@@ -106,14 +103,16 @@ def align(
     """The pose of one station that best fits the others, which are fixed, with one tolerance after the other."""
     for tolerance in tolerances:
         for _ in range(_STEPS):
-            matrix, gradient = np.zeros((6, 6)), np.zeros(6)
-            for still, still_place in fixed:
-                equations = normal_equations(moving, place, still, still_place, tolerance, patches)
-                matrix += equations.matrix
-                gradient += equations.gradient
-            twist = _step(matrix, gradient, place.translation)
-            place = Pose.from_vector(twist) @ place
-            if np.abs(twist).max() < _CONVERGED * max(1.0, moving.distance):
+            centre = place.translation
+            equations = [
+                normal_equations(moving, place, still, still_place, tolerance, patches, centre)
+                for still, still_place in fixed
+            ]
+            matrix: Floats = np.sum([pair.matrix for pair in equations], axis=0)
+            gradient: Floats = np.sum([pair.gradient for pair in equations], axis=0)
+            place = Pose(place.rotation.copy(), centre.copy())
+            change = step_pose(matrix, gradient, _DAMPING / 3, centre, place.rotation, place.translation)
+            if change < _CONVERGED * max(1.0, moving.distance):
                 break
     return place
 
@@ -151,15 +150,3 @@ def couple_poses(between: Iterable[tuple[int, int, Floats, Floats]], count: int)
         gradient[i] += pull
         gradient[j] -= pull
     return matrix, gradient
-
-
-def _step(matrix: Floats, gradient: Floats, centre: Floats) -> Floats:
-    """The damped Gauss–Newton twist; damping applies to rotations about a centre (3,) and translations."""
-    if not matrix.any():
-        return np.zeros(6)
-    about = np.eye(6)  # twist about the centre → twist of the frame
-    about[3:, :3] = -np.cross(np.eye(3), centre)
-    own = about.T @ matrix @ about
-    turns, shifts = np.trace(own[:3, :3]) / 3, np.trace(own[3:, 3:]) / 3
-    damped = own + _DAMPING * np.diag([turns] * 3 + [shifts] * 3) + 1e-12 * np.eye(6)
-    return about @ -np.linalg.solve(damped, about.T @ gradient)

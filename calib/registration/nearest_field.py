@@ -174,5 +174,5 @@ def _descend(
                 worth[k] += share
                 arm = place[0] - centre[0], place[1] - centre[1], place[2] - centre[2]
                 add_pair(matrix, gradient, arm, (p, q, s), off, share * share)
-            if not step_pose(matrix, gradient, _DAMPING, centre, r, t):
+            if step_pose(matrix, gradient, _DAMPING, centre, r, t) == 0:
                 break

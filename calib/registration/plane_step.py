@@ -34,15 +34,16 @@ def add_pair(
 @compiled
 def step_pose(
     matrix: Floats, gradient: Floats, damping: float, centre: Floats, rotation: Floats, translation: Floats
-) -> bool:
-    """Solve the normal equations, in place, and move a pose (3, 3), (3,), in place; whether they hold it at all.
+) -> float:
+    """Solve the normal equations, in place, and move a pose (3, 3), (3,), in place. Returns the largest number of the
+    twist about the centre (3,); 0 where nothing holds the pose.
 
     `damping`: relative to the trace of rotations, and to that of shifts.
     """
     trace_turn = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
     trace_shift = matrix[3, 3] + matrix[4, 4] + matrix[5, 5]
     if not trace_turn * trace_shift > 0:
-        return False
+        return 0.0
     for i in range(3):
         matrix[i, i] += damping * trace_turn
         matrix[i + 3, i + 3] += damping * trace_shift
@@ -50,4 +51,4 @@ def step_pose(
     turn = rotation_about(twist[:3])
     rotation[:] = turn @ rotation
     translation[:] = turn @ (translation - centre) + centre + twist[3:]
-    return True
+    return float(np.abs(twist).max())

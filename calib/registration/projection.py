@@ -231,5 +231,5 @@ def _descend(
         for within in withins:
             matrix, gradient = np.zeros((6, 6)), np.zeros(6)
             worth[k] = add_patches(image, patches, r, t, gates, within, 0.0, as_is, back, matrix, gradient)[0]
-            if not step_pose(matrix, gradient, _DAMPING, centre, r, t):
+            if step_pose(matrix, gradient, _DAMPING, centre, r, t) == 0:
                 break
