@@ -1,6 +1,6 @@
 """Registration of two clouds or meshes of any origin without a first guess, compared with the truth.
 
-    python benchmarks/bench_register.py [--pairs 8] [--kinds part cad room …] [--points 200000] [--verbose]
+    python benchmarks/bench_register.py [--pairs 8] [--kinds part cad room …] [--points 200000] [--verbose] [--peers]
 
 Simulated things of 100 mm (superquadrics with waves) are seen from two directions, with noise along the ray, other
 densities and the shadow of a projector; rooms are furnished ones of 3.2 to 5.2 m, seen by two neighbouring stations.
@@ -19,11 +19,14 @@ densities and the shadow of a projector; rooms are furnished ones of 3.2 to 5.2 
 'wrong': answered as unique, but off by more than 1 % of the extent. 'reached': a start from the true pose is answered
 as unique; 'answered': without a start as well. error/sigma: root mean square of the six whitened errors. Seconds are
 wall time of the registration alone, with its machine code compiled.
+
+`--peers`: Open3D, KISS-Matcher and small_gicp on the same pairs. 'right': off by less than 1 % of the extent, by the
+median of 'off'; 'called valid': as each of them says.
 """
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,7 +83,11 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     parser.add_argument("--points", type=int, default=40_000)
     parser.add_argument("--verbose", action="store_true")
+    parser.add_argument("--peers", action="store_true", help="other programs instead, of the extra 'bench'")
     args = parser.parse_args()
+    if args.peers:
+        compare_peers(args.kinds, range(args.first, args.first + args.pairs), args.points)
+        return
     print(_HEADING)
     every: list[Row] = []
     for kind in args.kinds:
@@ -89,6 +96,41 @@ def main() -> None:
         print(told(kind, rows), flush=True)
         every += rows
     print(told("all", every))
+
+
+def compare_peers(kinds: Sequence[str], seeds: Sequence[int], points: int) -> None:
+    """Print a table of what other programs answer: poses that are right, wrong ones that are called valid, seconds."""
+    from peer_registration import PEERS  # only where they are installed
+
+    print(f"{'kind':8} {'peer':18} pairs  right  called valid  wrong among these   off %  seconds")
+    for kind in kinds:
+        cases = [KINDS[kind](seed, points) for seed in seeds]
+        for name, register in PEERS.items():
+            offs, valid, seconds = [], [], []
+            for case in cases:
+                start = time.perf_counter()
+                answer = register(case.first, case.second)
+                seconds.append(time.perf_counter() - start)
+                offs.append(shift(answer.pose, case))
+                valid.append(answer.valid)
+            off = np.array(offs)
+            wrong = int(np.count_nonzero(np.array(valid) & ~(off < _WRONG)))
+            right = int(np.count_nonzero(off < _WRONG))
+            best = f"{100 * np.median(off[off < _WRONG]):.3f}" if right else "–"
+            print(
+                f"{kind:8} {name:18} {len(cases):5}  {right:5}  {sum(valid):12}  {wrong:17}  {best:>6}  "
+                f"{np.median(seconds):7.2f}",
+                flush=True,
+            )
+
+
+def shift(pose: Pose, case: Case) -> float:
+    """Root mean square of the points' shifts from the truth over the extent; infinite without a truth."""
+    if case.truth is None:
+        return np.inf
+    moved, true = pose @ case.second.points, case.truth @ case.second.points
+    extent = float(np.linalg.norm(np.ptp(case.second.points, axis=0)))
+    return float(np.sqrt(np.mean(np.sum((moved - true) ** 2, axis=1)))) / extent
 
 
 def told(kind: str, rows: list[Row]) -> str:
@@ -132,9 +174,7 @@ def errors(found: SurfaceRegistration, case: Case) -> tuple[float, Floats | None
     """Root mean square of the points' shifts over the extent, and the six errors of the pose, whitened."""
     if case.truth is None or found.best is None:
         return np.inf, None
-    moved, true = found.best.pose @ case.second.points, case.truth @ case.second.points
-    extent = float(np.linalg.norm(np.ptp(case.second.points, axis=0)))
-    off = float(np.sqrt(np.mean(np.sum((moved - true) ** 2, axis=1)))) / extent
+    off = shift(found.best.pose, case)
     if not np.isfinite(found.covariance).all():
         return off, None
     change = found.best.pose @ case.truth.inverse()
