@@ -34,7 +34,8 @@ _STENCIL = _HALF / 2 * np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]),
 _TERMS = 6  # of an alignment: shift, gain, level and its slopes
 # Between where the projector should light a point and where it does: what hides it is further off than most points are.
 _OCCLUDED_PX, _OCCLUDED, _MOST_OFF_PX = 2.0, 5.0, 30.0
-_MOST_BEND = 1.5  # of a surface about a quadratic map, in units of the flattest quarter
+# Of a surface about a quadratic map, in units of its flattest quarter: around a point, and over all that is compared.
+_MOST_BEND, _MOST_WIDE_BEND = 1.5, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,10 @@ def _tracked(
             shift, sigma = _shifts(pictures[number], pictures[other], own_px, projected)
             pixels = pixels + shift
         lifted = lift(view.places, pixels)
-        kept = lifted.is_smooth & np.isfinite(sigma) if pictures is not None else _is_flat(lifted)
+        if pictures is None:
+            kept = _is_flat(lifted)
+        else:
+            kept = lifted.is_smooth & np.isfinite(sigma) & _is_one_surface(view, pixels)
         pieces.append(_observations(projected.number, other, pixels, lifted, sigma)[kept])
     others = SceneObservations.joined(pieces)
     chosen, point = np.unique(others.point, return_inverse=True)
@@ -174,6 +178,19 @@ def _is_flat(lifted: Lifted) -> Bools:
     return lifted.is_smooth & (lifted.bend < _MOST_BEND * usual)
 
 
+def _is_one_surface(view: MatchedView, pixels: Floats) -> Bools:
+    """Where a quadratic map describes all that is compared around pixels (K, 2) as well as in its flattest parts, (K,).
+
+    Where it does not, as over an edge, pictures are warped wrongly, and their shifts are wrong alike.
+    """
+    _, rms, sigma = quadratic_maps(view.places, pixels, _HALF)
+    bend = rms / np.maximum(sigma, 1e-3)
+    finite = bend[np.isfinite(bend)]
+    usual = float(np.quantile(finite, 0.25)) if len(finite) else 0.0
+    flat: Bools = bend < _MOST_WIDE_BEND * usual
+    return flat
+
+
 def _patches(rig: State, view: MatchedView, pixels: Floats) -> _Patches:
     lifted = lift(view.places, pixels)
     points, tangents = surface_at(rig, pixels, lifted.projector_px, lifted.slope)
@@ -182,6 +199,7 @@ def _patches(rig: State, view: MatchedView, pixels: Floats) -> _Patches:
 
 def _with_surface(rig: State, view: MatchedView, patches: _Patches) -> _Patches:
     """The patches with the surface around them, as far as pictures are compared."""
+    patches = _some_of(patches, _is_one_surface(view, patches.camera_px))
     fit, _, _ = quadratic_maps(view.places, patches.camera_px, _HALF)
     camera_px = patches.camera_px[:, None] + _STENCIL
     projector_px = monomials(*_STENCIL.T) @ fit
