@@ -1,7 +1,7 @@
 """Calibrations without a corner or a board, compared with the truth: nothing is known but what stations share.
 
     python benchmarks/bench_anything.py [--how turned] [--things 10] [--first 0] [--stations 6] [--gloss 0] \
-        [--drift 0]
+        [--drift 0] [--kind lump] [--texture print]
 
 Simulated things of 100 mm before a resting rig, with matches from rays and 0.05 projector px of noise; `--drift`: the
 projector's picture is elsewhere at each station, by that many pixels in both directions. `--how`:
@@ -11,15 +11,19 @@ projector's picture is elsewhere at each station, by that many pixels in both di
 - `cluttered`: a rig at places about a clutter of two dozen bodies, turned by 12 to 25° about random axes,
 - `one-axis`: by steps of 15°, which determines no calibration and has to be refused.
 
+`--texture none`: things of plain plaster, whose pictures show their shading; `blank`: pictures that show nothing, so
+that only shapes are left. `--kind ball` and others: another shape, which may determine nothing and has to be refused.
+
 Seconds are of processor time.
 """
 
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +44,7 @@ from tests.support.things import (
 )
 
 _CAMERA = (612, 512)
+_GREY = 128  # of a picture that shows nothing
 _TIPPED = 5  # a step at which the simulated turntable tips
 
 
@@ -51,12 +56,19 @@ def main() -> None:
     parser.add_argument("--how", choices=["turned", "turntable", "cluttered", "one-axis"], default="turned")
     parser.add_argument("--gloss", type=float, default=0.0)
     parser.add_argument("--drift", type=float, default=0.0)
+    parser.add_argument("--kind", choices=["lump", "ball", "vase", "plate", "box"], default="lump")
+    parser.add_argument("--texture", choices=["print", "none", "blank"], default="print")
     args = parser.parse_args()
+    thing: dict[str, Any] = {"gloss": args.gloss, "kind": args.kind}
+    if args.texture != "print":
+        thing["patches"] = 0.0
     print("thing  stations  points  f_c %   f_p %    sigma       x_c, y_c px    x_p, y_p px    error/sigma  seconds")
     ratios: list[Floats] = []
     focals: list[float] = []
     for seed in range(args.first, args.first + args.things):
-        stations = _drifted(_stations(args.how, args.stations, seed, args.gloss), args.drift, seed)
+        stations = _drifted(_stations(args.how, args.stations, seed, thing), args.drift, seed)
+        if args.texture == "blank":
+            stations = [replace(station, picture=np.full_like(station.picture, _GREY)) for station in stations]
         began = time.process_time()
         try:
             start = rig_from_object(
@@ -87,15 +99,15 @@ def main() -> None:
         print(f"error/sigma, rms over all columns: {np.sqrt(np.mean(np.square(ratios))):.2f}")
 
 
-def _stations(how: str, count: int, seed: int, gloss: float) -> list[ThingStation]:
+def _stations(how: str, count: int, seed: int, thing: Mapping[str, Any]) -> list[ThingStation]:
     if how == "turned":
-        return turned_stations(count, _CAMERA, seed, gloss=gloss)
+        return turned_stations(count, _CAMERA, seed, **thing)
     if how == "cluttered":
-        return cluttered_stations(count, _CAMERA, seed, gloss=gloss)
-    steps = thing_stations([*range(count)], _CAMERA, seed, steps=24, gloss=gloss)
+        return cluttered_stations(count, _CAMERA, seed, **thing)
+    steps = thing_stations([*range(count)], _CAMERA, seed, steps=24, **thing)
     if how == "one-axis":
         return steps
-    return [*steps, *thing_stations([_TIPPED], _CAMERA, seed, steps=24, gloss=gloss, tip_deg=30.0)]
+    return [*steps, *thing_stations([_TIPPED], _CAMERA, seed, steps=24, tip_deg=30.0, **thing)]
 
 
 def _drifted(stations: Sequence[ThingStation], drift_px: float, seed: int) -> list[ThingStation]:

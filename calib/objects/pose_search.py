@@ -21,7 +21,6 @@ _DISTINCT = 60
 THOROUGHLY = 600  # distinct descents that are refined if the best few leave a view out
 _SAME_TURN, _SAME_GRAINS = np.radians(6.0), 8.0
 _GATES = Gates(False, 3.0, float(np.cos(np.radians(50.0))), beyond=1.0, free=0.0, off=0.0, shows_backs=False)
-_TOWARDS_MIDDLE = 0.1  # share of a patch's weight by which a centre is drawn to a point behind the visible surface
 _BEHIND = 20.0  # grains
 
 
@@ -54,12 +53,7 @@ def are_about_the_same(poses: Pose, reference: Pose, grain: float) -> Bools:
 
 def normal_centre(view: ObjectView) -> Floats:
     """The point (3,) that the lines along all patches' normals come closest to: the middle, if the thing is round."""
-    across = np.eye(3) - view.patches.normals[:, :, None] * view.patches.normals[:, None]
-    middle = view.patches.points.mean(axis=0)
-    behind = middle * (1 + _BEHIND * view.grain / float(np.linalg.norm(middle)))
-    drawn = _TOWARDS_MIDDLE * len(across)
-    pull = np.einsum("nij,nj->i", across, view.patches.points) + drawn * behind
-    return np.linalg.solve(across.sum(axis=0) + drawn * np.eye(3), pull)
+    return view.patches.normal_centre(_BEHIND * view.grain)
 
 
 _SEARCHED = 8

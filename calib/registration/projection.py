@@ -16,6 +16,7 @@ from calib.numerics import Floats, Ints, compiled
 from calib.registration.plane_step import add_pair, step_pose
 
 UNSEEN, HIDDEN, THROUGH_FREE_SPACE, OFF_SURFACE = -1, -2, -3, -4
+_TOWARDS_MIDDLE = 0.1  # share of a patch's weight by which a centre is drawn to a point behind the visible surface
 _DAMPING = 1e-3  # of a descent's step, relative to what holds the pose
 
 
@@ -45,6 +46,17 @@ class Patches(NamedTuple):
     def first(self, count: int | None) -> "Patches":
         """So many of them; all for None."""
         return Patches(self.points[:count], self.normals[:count])
+
+    def normal_centre(self, behind: float) -> Floats:
+        """The point (3,) that the lines along all normals come closest to: the middle, if the surface is round. It is
+        drawn a little to a point `behind` the surface.
+        """
+        across = np.eye(3) - self.normals[:, :, None] * self.normals[:, None]
+        middle = self.points.mean(axis=0)
+        anchor = middle * (1 + behind / float(np.linalg.norm(middle)))
+        drawn = _TOWARDS_MIDDLE * len(across)
+        pull = np.einsum("nij,nj->i", across, self.points) + drawn * anchor
+        return np.linalg.solve(across.sum(axis=0) + drawn * np.eye(3), pull)
 
 
 class Gates(NamedTuple):

@@ -2,8 +2,6 @@
 
 from calib.scene.calibrate import (
     BY_SCENE,
-    ONE_AXIS,
-    TOO_FEW_STATIONS,
     SceneCalibration,
     calibrate_scene,
     recalibrate_scene,
@@ -12,3 +10,4 @@ from calib.scene.drift import DRIFTED, drift_findings
 from calib.scene.given_calibration import CALIBRATION_CHANGED, LineTest, compare_with_lines, find_change
 from calib.scene.next_station import NextStation
 from calib.scene.problem import FEWEST_STATIONS
+from calib.scene.refusals import ONE_AXIS, TOO_FEW_STATIONS

@@ -101,7 +101,8 @@ class SceneProblem:
         left = residuals_of(fit.scene, self.observations, self.spread).freedom(self.observations)
         length = np.linalg.norm(fit.residual.reshape(-1, 2, 2), axis=2) / np.sqrt(np.maximum(left, _LEAST_FREEDOM) / 2)
         located = self.observations.is_located
-        medians = np.array([np.median(length[located, 0]), np.median(length[:, 1])])
+        of_keypoints = np.median(length[located, 0]) if located.any() else MEDIAN_LENGTH  # those of surfaces have none
+        medians = np.array([of_keypoints, np.median(length[:, 1])])
         growth: Floats = np.maximum(medians / MEDIAN_LENGTH, 0.1)
         return growth
 

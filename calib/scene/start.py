@@ -17,7 +17,7 @@ from calib.geometry import IDENTITY, Pose, depths_of_rays, homogeneous
 from calib.numerics import Bools, Floats, Ints, at_random
 from calib.refinement import State, without_lens
 from calib.registration import fit_rigid_motion
-from calib.scene.views import SceneView, some_matches
+from calib.scene.views import MatchedView, SceneView, some_matches
 
 _MATCHES = 4000  # of each view, for the fundamental matrix
 _ON_LINE_PX = 1.0
@@ -51,7 +51,7 @@ def starts_of(
     """Trials with their scores, best first; none if no fundamental matrix fits. `centre_px`: the camera's, (2,).
     `projector_centre_px`: if anything is known of it.
     """
-    fundamental = _fundamental(views)
+    fundamental = fundamental_of(views)
     if fundamental is None:
         return []
     used = sorted(pairs, key=lambda pair: -len(pairs[pair][0]))[:_PAIRS]
@@ -70,7 +70,7 @@ def starts_of(
             for centre in centres:
                 camera = without_lens(camera_focal, centre_px)
                 projector = without_lens(projector_focal, np.array(centre))
-                pose = _relative_pose(fundamental, camera, projector, sample.camera_px, sample.projector_px)
+                pose = relative_pose(fundamental, camera, projector, sample.camera_px, sample.projector_px)
                 if pose is not None:
                     trials.append(_judged(State(camera, projector, pose), views, some, [*some]))
     return sorted(trials, key=lambda trial: -trial.score)
@@ -83,7 +83,8 @@ def with_motions(
     return _judged(start.rig, views, pairs, [*pairs])
 
 
-def _fundamental(views: Sequence[SceneView]) -> Floats | None:
+def fundamental_of(views: Sequence[MatchedView]) -> Floats | None:
+    """The fundamental matrix (3, 3) of camera and projector by all stations' matches; None if none fits."""
     matches = some_matches([view.matches for view in views], _MATCHES).matches
     if len(matches) < 50:
         return None
@@ -94,7 +95,7 @@ def _fundamental(views: Sequence[SceneView]) -> Floats | None:
     return None if found is None or found.shape != (3, 3) else np.asarray(found, np.float64)
 
 
-def _relative_pose(
+def relative_pose(
     fundamental: Floats, camera: Floats, projector: Floats, camera_px: Floats, projector_px: Floats
 ) -> Pose | None:
     """The pose with most points in front of both devices, |t| = 1; None if the devices' pictures allow none."""

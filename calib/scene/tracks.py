@@ -6,19 +6,19 @@ import numpy as np
 import scipy
 
 from calib.geometry import IDENTITY, Pose
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Floats, Ints
 from calib.scene.rigid_scene import SceneObservations
 from calib.scene.start import SceneStart, triangulated
 from calib.scene.views import SceneView
 
 
-def placed_stations(motions: Mapping[tuple[int, int], tuple[Pose, Bools]], count: int) -> dict[int, Pose]:
-    """Stations that motions connect with the most others, X_station = R X_root + t; the strongest motions first.
+def placed_stations(motions: Mapping[tuple[int, int], tuple[Pose, float]], count: int) -> dict[int, Pose]:
+    """Stations that motions X_i = R X_j + t connect with the most others, X_station = R X_root + t.
 
-    A maximum spanning tree by the number of keypoints that agree (Kruskal).
+    A maximum spanning tree by the worth of the motions (Kruskal).
     """
     group = {k: {k: IDENTITY} for k in range(count)}
-    for (i, j), (pose, _) in sorted(motions.items(), key=lambda motion: -int(np.count_nonzero(motion[1][1]))):
+    for (i, j), (pose, _) in sorted(motions.items(), key=lambda motion: -motion[1][1]):
         first, second = group[i], group[j]
         if first is second:
             continue

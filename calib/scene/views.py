@@ -6,7 +6,7 @@ from camera to projector pixels at its place: an error along the surface moves b
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import cv2
@@ -40,6 +40,11 @@ class MatchedView:
     places: Floats
     """(H, W, 3): the projector's pixel and its sigma at each camera pixel; NaN where there is none, and where what is
     seen rests against the rig."""
+
+    @property
+    def without_picture(self) -> "MatchedView":
+        """The same with a picture that shows nothing."""
+        return replace(self, brightness=np.zeros_like(self.brightness))
 
 
 @dataclass(frozen=True, eq=False)

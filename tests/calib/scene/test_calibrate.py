@@ -7,11 +7,11 @@ from calib.geometry import Matches
 from calib.numerics import Floats, Image
 from calib.refusal import RefusalError
 from calib.scene import SceneCalibration, calibrate_scene
-from calib.scene.calibrate import APART, NO_COMMON_POINTS, NOTHING_MOVED, ONE_AXIS, TOO_FEW_STATIONS
+from calib.scene.refusals import APART, NO_COMMON_POINTS, NOTHING_MOVED, ONE_AXIS, SLIDING, TOO_FEW_STATIONS
 from calib.self_calibration import PrincipalPoint
 from tests.support.things import PROJECTOR, ThingStation, thing_stations, true_rig, turned_stations
 
-CAMERA, LARGER_CAMERA = (459, 384), (612, 512)
+CAMERA, LARGER_CAMERA, SMALL_CAMERA = (459, 384), (612, 512), (306, 256)
 
 
 def calibrated(captures: list[tuple[Matches, Image]], camera: tuple[int, int] = CAMERA) -> SceneCalibration:
@@ -64,11 +64,27 @@ def test_stations_at_one_place_are_refused(stations: list[ThingStation]) -> None
     assert refusal.value.finding.kind == NOTHING_MOVED
 
 
-def test_pictures_without_points_are_refused(stations: list[ThingStation]) -> None:
-    plain = [(station.matches, np.full_like(station.picture, 128)) for station in stations[:3]]
+def without_pictures(stations: list[ThingStation]) -> list[tuple[Matches, Image]]:
+    return [(station.matches, np.full_like(station.picture, 128)) for station in stations]
+
+
+def test_a_shape_alone_calibrates_the_rig(stations: list[ThingStation]) -> None:
+    found = calibrated(without_pictures(stations[:4]))
+    assert found.stations == (0, 1, 2, 3)
+    assert not found.problem.observations.is_located.any()
+    assert 0.3 < np.sqrt(np.mean(in_sigmas(found, stations[0]) ** 2)) < 2.0
+    focal, sigma = found.calibration.camera.focal_px[0], found.calibration.sigma.camera.focal_px
+    assert sigma is not None
+    assert 1e-6 < abs(focal / stations[0].calibration.camera.focal_px[0] - 1) < 0.01
+    assert 2e-4 < sigma[0] / focal < 1e-2
+
+
+@pytest.mark.parametrize("kind", ["ball", "vase"])
+def test_shapes_that_fit_themselves_in_several_ways_are_refused(kind: str) -> None:
     with pytest.raises(RefusalError) as refusal:
-        calibrated(plain)
-    assert refusal.value.finding.kind == NO_COMMON_POINTS
+        calibrated(without_pictures(turned_stations(3, SMALL_CAMERA, seed=1, kind=kind)), SMALL_CAMERA)
+    assert refusal.value.finding.kind == SLIDING
+    assert refusal.value.finding.data["captures"] == 3
 
 
 def test_a_picture_of_another_size_is_named(stations: list[ThingStation]) -> None:
