@@ -11,7 +11,6 @@ from scanner.configuration import Config
 from scanner.networks.captures import Captures, Pair, refuse_too_few
 from scanner.networks.sights import in_light
 from scanner.objects import rig_from_object
-from scanner.quantities import percent
 from scanner.results import Decoded
 from scanner.ui import SILENT, Progress
 
@@ -67,7 +66,7 @@ def calibrate_by_scene(
     how = Finding(
         NETWORK_BY_SCENE,
         Severity.NOTE,
-        f"Calibrated without a corner, by what {count} stations share: all focal lengths ± {percent(sigma)} or better.",
+        f"Calibrated without a corner, by what {count} stations share.",
         data={"captures": float(count), "focal_percent": 100 * sigma},
     )
     return estimate, (how, *(_follows(*item) for item in refusals.items()))
