@@ -53,7 +53,7 @@ class Patches(NamedTuple):
         """
         across = np.eye(3) - self.normals[:, :, None] * self.normals[:, None]
         middle = self.points.mean(axis=0)
-        anchor = middle * (1 + behind / float(np.linalg.norm(middle)))
+        anchor = middle * (1 + behind / max(float(np.linalg.norm(middle)), 1e-300))
         drawn = _TOWARDS_MIDDLE * len(across)
         pull = np.einsum("nij,nj->i", across, self.points) + drawn * anchor
         return np.linalg.solve(across.sum(axis=0) + drawn * np.eye(3), pull)

@@ -49,7 +49,8 @@ def surface_poses(first: SampledSurface, second: SampledSurface) -> tuple[Pose, 
         _most_promising(field, patches, poses_by_planes(_planes(first), _planes(second), reach, is_upright=False)),
     ]
     turns = even_rotations(_TURNS)
-    starts.append(Pose(turns, _middle(first) - turns @ _middle(second)))
+    middles = [surface.some(_MANY).patches.normal_centre(0.0) for surface in (first, second)]
+    starts.append(Pose(turns, middles[0] - turns @ middles[1]))
     wide, worth = descended(field, patches.some(_SOME).patches, Pose.concatenate(starts), first.cell * _WIDE)
     chosen = distinct_poses(wide, worth, _SAME_TURN, _SAME_CELLS * first.cell, _FOLLOWED)
     close, worth = descended(field, patches.patches, wide[chosen], first.cell * _CLOSE)
@@ -67,14 +68,6 @@ def _most_promising(field: NearestField, patches: SampledSurface, poses: Pose) -
     poses = poses[best]
     worth = worths(field, patches.some(_SOME).patches, poses, 2 * _WITHIN * cell)
     return poses[distinct_poses(poses, worth, _SAME_TURN, _SAME_CELLS * cell, _FOLLOWED)]
-
-
-def _middle(surface: SampledSurface) -> Floats:
-    """The middle (3,) of what is probably seen from one side: where lines along normals come closest to each other."""
-    some = surface.some(_MANY)
-    across = np.eye(3) - some.normals[:, :, None] * some.normals[:, None]
-    pull = np.einsum("nij,nj->i", across, some.points) + 0.1 * some.points.sum(axis=0)
-    return np.linalg.solve(across.sum(axis=0) + 0.1 * len(across) * np.eye(3), pull)
 
 
 def _feature_poses(first: SampledSurface, second: SampledSurface) -> Pose:
