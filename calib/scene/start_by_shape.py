@@ -214,7 +214,9 @@ def _other_poses(rig: State, first: Shape, second: Shape, known: Pose) -> list[P
 def _is_as_good(one: Coincidence, other: Coincidence, near_px: float, station: int | None = None) -> bool:
     """Whether one brings about as much of the surfaces, of a station or all, as near as another."""
     is_as_much = one.share_within(near_px, station) > _AS_MUCH * other.share_within(near_px, station)
-    return is_as_much and one.median_px(near_px, station) < _AS_NEAR * other.median_px(near_px, station)
+    noise_px = float(np.median(other.observations.sigma_px)) if len(other.points) else 0.0
+    apart_px = max(other.median_px(near_px, station), noise_px)  # descents end as near as that at best
+    return is_as_much and one.median_px(near_px, station) < _AS_NEAR * apart_px
 
 
 def _have_same_focal(rig: State, reference: State) -> bool:
