@@ -18,6 +18,7 @@ from calib.networks.shared_points import SharedPoints
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, evenly
 
 _LEAST_SHARED, _SAMPLE = 50, 300
+_ELSEWHERE, _OF_MEDIAN = 0.005, 10.0  # of the depth, and of the median difference: the surface is another one
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,8 @@ class Joined:
 @dataclass(frozen=True)
 class DepthDisagreement:
     """Two cameras' depths in one projector's light: median difference, relative to the depth, what the sigmas of
-    matches and devices would make of it, and the number of cells that both saw.
+    matches and devices would make of it, and the number of cells that both saw. `elsewhere`: the share of these at
+    which they differ by far more than at most.
     """
 
     first: str
@@ -54,6 +56,7 @@ class DepthDisagreement:
     relative: float
     expected: float
     count: int
+    elsewhere: float = 0.0
 
 
 def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Matches]) -> Joined:
@@ -111,7 +114,9 @@ def _disagreements(
         both = np.isfinite(depth[i]) & np.isfinite(depth[j])
         if np.count_nonzero(both) < _LEAST_SHARED:
             continue
-        off = float(np.median(2 * np.abs(depth[i, both] - depth[j, both]) / (depth[i, both] + depth[j, both])))
+        differences = 2 * np.abs(depth[i, both] - depth[j, both]) / (depth[i, both] + depth[j, both])
+        off = float(np.median(differences))
+        elsewhere = float(np.mean(differences > max(_ELSEWHERE, _OF_MEDIAN * off)))
         some = evenly(both, _SAMPLE)
         slopes = np.zeros((len(some), network.size))
         for number, name, sign in ((i, first, 1), (j, second, -1)):
@@ -122,5 +127,5 @@ def _disagreements(
         by_devices = np.einsum("nc,cd,nd->n", slopes, estimate.covariance, slopes, optimize=True)
         sigma = np.sqrt(variance[i, some] + variance[j, some] + by_devices)
         expected = float(np.median(2 * sigma / (depth[i, some] + depth[j, some]))) / SIGMA_PER_MEDIAN
-        found.append(DepthDisagreement(first, second, off, expected, int(both.sum())))
+        found.append(DepthDisagreement(first, second, off, expected, int(both.sum()), elsewhere))
     return found

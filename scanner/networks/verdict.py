@@ -19,6 +19,7 @@ _STRAINED, _FOREIGN = 3.0, 15.0
 _STRAINED_PX, _FOREIGN_PX = 0.1, 0.3
 # By how many sigmas, root mean square over ten or so, pairs that are calibrated by themselves differ from the network.
 _DIFFERENT, _FAR_DIFFERENT = 2.0, 5.0
+_CHANGED = 0.02  # of what two cameras see at a station; 0.0001 where nothing moves
 _NO_WALLS = 0.005  # of the distance: heights over planes that are none
 
 MOVED = "Something moved between the captures, or a folder has another device's name: take these two again."
@@ -55,6 +56,12 @@ PAIR_DISAGREES = FindingKind(
     "The stations of one pair of a network calibrate it otherwise than all pairs together do.",
     "Check that no device was touched between the stations, zoom and focus included, and take them again.",
     ("deviation_ratio",),
+)
+STATION_CHANGED = FindingKind(
+    "station-changed",
+    "Something moved between the captures of one station of a network.",
+    "Take this station again, or leave it out.",
+    ("elsewhere_share",),
 )
 LOOSE_DEVICE = FindingKind(
     "loose-device",
@@ -136,6 +143,21 @@ def _differing(network: SolvedNetwork, severity: Severity, least: float, most: f
         yield Finding(PAIR_DISAGREES, severity, message, PAIR_DISAGREES.remedy, {"deviation_ratio": sigmas})
 
 
+def _changed(network: SolvedNetwork) -> Iterator[Finding]:
+    """Stations at which two cameras see part of a projector's light on another surface."""
+    for number, station in enumerate((network.surfaces, *network.further) if network.further else (), start=1):
+        pairs = [pair for surface in station.values() for pair in surface.disagreements]
+        worst = max(pairs, key=lambda pair: pair.elsewhere, default=None)
+        if worst is not None and worst.elsewhere > _CHANGED:
+            message = (
+                f"at station {number}, {worst.first} and {worst.second} see {percent(worst.elsewhere)} of what both "
+                "see at other places: something moved between its captures."
+            )
+            yield Finding(
+                STATION_CHANGED, Severity.WARNING, message, STATION_CHANGED.remedy, {"elsewhere_share": worst.elsewhere}
+            )
+
+
 def _warped(network: SolvedNetwork) -> Iterator[Finding]:
     """Pictures that are not shown as they are sent, or not recorded as they are seen."""
     warps, projectors = network.estimate.warps, network.surfaces
@@ -178,6 +200,7 @@ def _doubts(network: SolvedNetwork) -> Iterator[Finding]:
             {"off_px": strain.across_px, "noise_px": strain.noise_px},
         )
     yield from _differing(network, Severity.WARNING, _DIFFERENT, _FAR_DIFFERENT)
+    yield from _changed(network)
     loose = max(estimate.names, key=lambda name: float(estimate.sigmas(name)[0]))
     sigma = float(estimate.sigmas(loose)[0])
     if sigma > MEASUREMENT_GRADE:

@@ -1,6 +1,7 @@
 """`scan network` on stations without a corner. Single pairs' calibrations are given here; `calib.scene` makes them."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,28 @@ def test_stations_calibrate_a_network(
     assert (out / "captures" / "3" / "camera2-projector1" / "matches.npz").is_file()
     for cloud in ("network.ply", "captures/2/network.ply", "captures/3/network.ply"):
         assert b"network frame" in (out / cloud).read_bytes()[:300]
+
+
+def test_something_that_moved_at_one_station_is_named(
+    taken: tuple[SyntheticNetwork, list[Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One camera's capture of the last station is of another room's corner and boxes."""
+    network, stations = taken
+    other = random_network(np.random.default_rng(3), 2, 1, replace(_OPTIONS, boxes=4))
+    for pair in ("camera1-projector1", "camera2-projector1"):
+        (tmp_path / "changed").mkdir(exist_ok=True)
+        (tmp_path / "changed" / pair).symlink_to(stations[2] / pair)
+    (tmp_path / "changed" / "camera2-projector1").unlink()
+    moved = write_captures(tmp_path / "moved", replace(network, scene=other.scene), np.random.default_rng(4))
+    (tmp_path / "changed" / "camera2-projector1").symlink_to(moved[1])
+    monkeypatch.setattr(scenes, "known_rig", calibrating(network))
+
+    run("network", *stations[:2], tmp_path / "changed", "--out", tmp_path / "hall")
+
+    document = yaml.safe_load((tmp_path / "hall" / "network.yaml").read_text(encoding="utf-8"))
+    (finding,) = [finding for finding in document["findings"] if finding["kind"] == "station-changed"]
+    assert finding["message"].startswith("at station 3, camera1 and camera2 see ")
+    assert 0.02 < finding["data"]["elsewhere_share"] < 0.9
 
 
 def test_a_network_of_which_no_pair_is_calibrated_says_why(
