@@ -288,6 +288,7 @@ class Decoder:
                 maps, by_pixel = checked_maps(code_images, calibrated, observed, is_anomalous=bool(anomalies))
                 stripes = finest_stripes(code_images, samples.scattered, maps)
                 del samples
+                code_images.codes.clear()  # the frames alone tell of motion
                 motion = observed.motion
                 if halves := halves_of(self._plan):
                     geometry = code_images.plan, maps.projector_px, self._projector_size
