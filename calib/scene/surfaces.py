@@ -7,13 +7,13 @@ all directions, and points of one are then looked up in the others' grids.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from calib.geometry import Pose
 from calib.geometry import radial_distortion as lens
@@ -117,20 +117,19 @@ def shapes_of(rig: State, surfaces: Sequence[LiftedSurface]) -> list[Shape]:
     return shapes
 
 
+@cache
 def _starting_turns() -> Floats:
     """Rotations (K, 3, 3) about all axes, by no more than what stations have in common surfaces after."""
     steps = _SPACING_DEG * np.arange(-(_MOST_DEG // _SPACING_DEG), _MOST_DEG // _SPACING_DEG + 1)
     vectors = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
     near = vectors[np.linalg.norm(vectors, axis=1) <= _MOST_DEG]
-    return np.asarray(Rotation.from_rotvec(near, degrees=True).as_matrix(), np.float64)
-
-
-_TURNS = _starting_turns()
+    return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(near, degrees=True).as_matrix(), np.float64)
 
 
 def descents(rig: State, first: Shape, second: Shape) -> tuple[Pose, Floats]:
     """Poses (K,), X_first = R X_second + t, of the best descents, and their worth in patches (K,); best first."""
-    starts = Pose(_TURNS, first.centre - _TURNS @ second.centre)
+    turns = _starting_turns()
+    starts = Pose(turns, first.centre - turns @ second.centre)
     wide, _ = descended(rig, first, second, starts, _WIDE, _FEW)
     return descended(rig, first, second, wide[:_KEPT], _CLOSE)
 
