@@ -45,8 +45,7 @@ class ScanCommand(Command):
         "complete an interrupted capture, as in NAME-incomplete, with the rig unchanged",
         "DIR",
         action=_InPlaceOfConfig,
-        existing=_NO_CAPTURE,
-    )
+    )  # what a killed capture left is given this name when the command begins
     captures: int = count(
         "capture the corner N times, moving the rig as a whole in between, and calibrate from all", default=1
     )

@@ -173,7 +173,7 @@ def test_a_simulated_rig_moves_by_itself() -> None:
     [
         (("--captures", "0"), "--captures: expected 1 or more, found 0"),
         (("--captures", "two"), "--captures"),
-        (("--captures", "2", "--masks", "masks"), "--masks are of one view"),
+        (("--captures", "2", "--masks", "."), "--masks are of one view"),
         (("--captures", "2", "--set", "method=paper"), "'method: paper'"),
         (("--captures", "9"), "cannot move 8 times"),
         (("--set", "earlier=[nowhere]"), "nowhere: no such matches file"),

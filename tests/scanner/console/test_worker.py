@@ -24,7 +24,7 @@ from scanner.console.worker import Activity, Status, Worker
 from scanner.networks import OnSight, Pair, Watched
 from scanner.patterns import White
 from scanner.results import read_verdict
-from scanner.ui import Progress
+from scanner.ui import Operator, Progress
 from tests.support.notebook import Notebook, until
 
 SIZE = (32, 24)
@@ -253,14 +253,21 @@ NETWORK = f"{CONFIG}rigs: {{cameras: {{left: {{}}, right: {{}}}}, projectors: {{
 def test_a_device_of_a_network_that_fails_is_named_in_the_message_and_on_the_page(
     worker: Worker, page: Notebook, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def failing(pairs: Iterable[Pair], _folder: Path, progress: Progress, on_sight: OnSight) -> None:
+    def failing(
+        pairs: Iterable[Pair],
+        _stations: int,
+        _folder: Path,
+        _operator: Operator,
+        progress: Progress,
+        on_sight: OnSight,
+    ) -> None:
         last = [*pairs][-1]
         with Watched([last], progress, on_sight) as watched:
             for _ in watched.track(((White(), Frame(np.zeros((2, 2), np.uint8))),) * 3, 4, "Capturing"):
                 pass
             raise DeviceError("camera: it went away. Check the cable.")
 
-    monkeypatch.setattr("scanner.networks.job.take_pairs", failing)
+    monkeypatch.setattr("scanner.networks.job.take_stations", failing)
     (tmp_path / "wall.yaml").write_text(NETWORK)
     worker.request(Activity.NETWORK)
     until(lambda: worker.status.message)
