@@ -71,9 +71,9 @@ def test_the_camera_has_the_large_area_until_there_is_a_cloud(console: Console) 
     assert box
     # Beside the lit wall it is dark: of single pixels there are fewer kinds than of the whole.
     visit.page.mouse.click(box["x"] + 0.9 * box["width"], box["y"] + 0.2 * box["height"])
-    visit.at_rest(lambda colours: colours < whole - 2)
+    single = visit.at_rest(lambda colours: colours < whole / 2)
     visit.page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
-    visit.at_rest(lambda colours: colours >= whole - 2)
+    visit.at_rest(lambda colours: colours > 2 * single)  # how many there are of the whole varies with its noise
 
 
 def test_buttons_that_cannot_work_say_why(console: Console) -> None:
