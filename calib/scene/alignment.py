@@ -126,7 +126,8 @@ def _tracked(
         if pictures is None:
             kept = _is_flat(lifted)
         else:
-            kept = lifted.is_smooth & np.isfinite(sigma) & _is_one_surface(view, pixels)
+            _, rms, noise = quadratic_maps(view.places, pixels, _HALF)
+            kept = lifted.is_smooth & np.isfinite(sigma) & _is_one_surface(rms, noise)
         pieces.append(_observations(projected.number, other, pixels, lifted, sigma)[kept])
     others = SceneObservations.joined(pieces)
     chosen, point = np.unique(others.point, return_inverse=True)
@@ -173,22 +174,23 @@ def _flat_patches(rig: State, view: MatchedView, inside: Bools, stations: int) -
 
 def _is_flat(lifted: Lifted) -> Bools:
     """Where a quadratic map describes the surface as well as in its flattest parts, (K,)."""
-    bend = lifted.bend[lifted.is_smooth]
-    usual = float(np.quantile(bend, 0.25)) if len(bend) else 0.0
-    return lifted.is_smooth & (lifted.bend < _MOST_BEND * usual)
+    return _is_among_flattest(lifted.bend, lifted.is_smooth, _MOST_BEND)
 
 
-def _is_one_surface(view: MatchedView, pixels: Floats) -> Bools:
-    """Where a quadratic map describes all that is compared around pixels (K, 2) as well as in its flattest parts, (K,).
+def _is_one_surface(rms: Floats, sigma: Floats) -> Bools:
+    """Where a quadratic map describes all that is compared as well as in its flattest parts, by the rms (K,) of what is
+    around and its sigma (K,).
 
     Where it does not, as over an edge, pictures are warped wrongly, and their shifts are wrong alike.
     """
-    _, rms, sigma = quadratic_maps(view.places, pixels, _HALF)
     bend = rms / np.maximum(sigma, 1e-3)
-    finite = bend[np.isfinite(bend)]
-    usual = float(np.quantile(finite, 0.25)) if len(finite) else 0.0
-    flat: Bools = bend < _MOST_WIDE_BEND * usual
-    return flat
+    return _is_among_flattest(bend, np.isfinite(bend), _MOST_WIDE_BEND)
+
+
+def _is_among_flattest(bend: Floats, known: Bools, most: float) -> Bools:
+    """Which (K,) of those that are known bend by less than so many times the flattest quarter."""
+    usual = float(np.quantile(bend[known], 0.25)) if known.any() else 0.0
+    return known & (bend < most * usual)
 
 
 def _patches(rig: State, view: MatchedView, pixels: Floats) -> _Patches:
@@ -199,8 +201,9 @@ def _patches(rig: State, view: MatchedView, pixels: Floats) -> _Patches:
 
 def _with_surface(rig: State, view: MatchedView, patches: _Patches) -> _Patches:
     """The patches with the surface around them, as far as pictures are compared."""
-    patches = _some_of(patches, _is_one_surface(view, patches.camera_px))
-    fit, _, _ = quadratic_maps(view.places, patches.camera_px, _HALF)
+    fit, rms, sigma = quadratic_maps(view.places, patches.camera_px, _HALF)
+    kept = _is_one_surface(rms, sigma)
+    patches, fit = _some_of(patches, kept), fit[kept]
     camera_px = patches.camera_px[:, None] + _STENCIL
     projector_px = monomials(*_STENCIL.T) @ fit
     around = _points(rig, camera_px.reshape(-1, 2), projector_px.reshape(-1, 2))

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats, clustered_scatter, huber_weights
-from calib.refinement import Prior
+from calib.refinement import Prior, inverse_of
 from calib.scene.bundle import SceneFit, evaluate
 from calib.scene.residuals import HUBER_SIGMAS, missed_at_stations, residuals_of
 from calib.scene.rigid_scene import ErrorScales, RigidScene, SceneObservations, StationMatches
@@ -38,7 +38,7 @@ def measure_drift(
     fit = evaluate(scene, observations, matches, spread, prior)
     shifts = scene.columns.of_shifts.ravel()
     others = np.setdiff1d(scene.columns.free(prior), shifts)
-    following = _solved(fit.information[np.ix_(others, others)], fit.information[np.ix_(others, shifts)])
+    following = inverse_of(fit.information[np.ix_(others, others)]) @ fit.information[np.ix_(others, shifts)]
     left = fit.information[np.ix_(shifts, shifts)] - fit.information[np.ix_(shifts, others)] @ following
     own = np.zeros((scene.size, len(shifts)))
     own[shifts], own[others] = np.eye(len(shifts)), -following
@@ -65,10 +65,3 @@ def _scatter(
     miss, by_columns = missed_at_stations(fit.scene, matches, spread)
     by_match = (by_columns @ own) * (huber_weights(np.abs(miss), HUBER_SIGMAS) * miss)[:, None]
     return clustered_scatter(scores, fit.scene.places) + by_match.T @ by_match
-
-
-def _solved(matrix: Floats, right: Floats) -> Floats:
-    """The solution (N, K) of scaled normal equations that may be singular."""
-    scale = np.sqrt(np.diag(matrix))
-    inverse = np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True)
-    return np.asarray(inverse @ (right / scale[:, None]) / scale[:, None], np.float64)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.numerics import MEDIAN_LENGTH, Bools, Floats, robust_sigma
-from calib.refinement import Prior
+from calib.refinement import Prior, inverse_of
 from calib.scene.alignment import align
 from calib.scene.bundle import CONVERGED, SceneFit, adjust
 from calib.scene.drift import measure_drift
@@ -81,10 +81,8 @@ class SceneProblem:
     def inverted(self, fit: SceneFit) -> Floats:
         """The covariance (size, size) by a fit's information; zero where a column is held."""
         information, free = fit.information, fit.scene.columns.free(self.prior)
-        scale = np.sqrt(np.diag(information)[free])
-        inverse = np.linalg.pinv(information[np.ix_(free, free)] / np.outer(scale, scale), hermitian=True)
         covariance = np.zeros_like(information)
-        covariance[np.ix_(free, free)] = inverse / np.outer(scale, scale)
+        covariance[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
         return covariance
 
     def _with_drift(self, scene: RigidScene) -> "tuple[SceneProblem, RigidScene]":

@@ -117,7 +117,7 @@ def entries_of(network: SolvedNetwork) -> dict[str, Any]:
 def cloud_of(network: SolvedNetwork, station: int = 0) -> MergedCloud:
     """All projectors' light at a station: each point once, by all cameras that saw it."""
     points, normals, colours = [], [], []
-    decoded, surfaces = network.captures.stations[station], (network.surfaces, *network.further)[station]
+    decoded, surfaces = network.captures.stations[station], network.stations[station]
     for projector, surface in surfaces.items():
         there = np.isfinite(surface.points[..., 2])
         normal = _normals(surface.points, network.estimate.device(projector).pose.translation)

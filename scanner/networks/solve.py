@@ -37,6 +37,11 @@ class SolvedNetwork:
     findings: tuple[Finding, ...] = ()
     """What is worth knowing of the estimate."""
 
+    @property
+    def stations(self) -> tuple[Mapping[str, Joined], ...]:
+        """The surfaces at all stations."""
+        return (self.surfaces, *self.further)
+
 
 @dataclass(frozen=True)
 class KnownDistance:

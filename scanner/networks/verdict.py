@@ -145,7 +145,7 @@ def _differing(network: SolvedNetwork, severity: Severity, least: float, most: f
 
 def _changed(network: SolvedNetwork) -> Iterator[Finding]:
     """Stations at which two cameras see part of a projector's light on another surface."""
-    for number, station in enumerate((network.surfaces, *network.further) if network.further else (), start=1):
+    for number, station in enumerate(network.stations if network.further else (), start=1):
         pairs = [pair for surface in station.values() for pair in surface.disagreements]
         worst = max(pairs, key=lambda pair: pair.elsewhere, default=None)
         if worst is not None and worst.elsewhere > _CHANGED:
@@ -242,8 +242,7 @@ def _distances(pair: DepthDisagreement) -> dict[str, Datum]:
 
 def _disagreements(network: SolvedNetwork) -> list[DepthDisagreement]:
     """Of all stations, the largest first."""
-    stations = (network.surfaces, *network.further)
-    surfaces = (surface for station in stations for surface in station.values())
+    surfaces = (surface for station in network.stations for surface in station.values())
     disagreements = (disagreement for surface in surfaces for disagreement in surface.disagreements)
     return sorted(disagreements, key=lambda disagreement: -disagreement.relative)
 
