@@ -218,8 +218,8 @@ def _of_planes(found: RoomEstimate, truth: Room) -> RoomEstimate:
     size = truth.size
     room = replace(found.room, planes=found.room.planes[: len(truth.planes)])
     patches = tuple(patch for patch in found.patches if patch.plane < len(truth.planes))
-    fit = replace(found.fit, layout=room)
-    return replace(found, fit=fit, covariance=found.covariance[:size, :size], patches=patches)
+    fit, problem = replace(found.fit, layout=room), replace(found.problem, parts=patches)
+    return replace(found, problem=problem, fit=fit, covariance=found.covariance[:size, :size])
 
 
 def _held(found: RoomEstimate, unit_m: float) -> list[bool]:

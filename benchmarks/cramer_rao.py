@@ -10,7 +10,7 @@ from calib.boards import State as BoardState
 from calib.boards.likelihood import BoardVariances, device_prior
 from calib.boards.likelihood import evaluate as evaluate_boards
 from calib.boards.parameters import PlacedBoard, device_of
-from calib.estimation import evaluate as evaluate_room
+from calib.estimation import Problem
 from calib.geometry import Matches, Plane
 from calib.networks import Device, Network, PlaneObservation
 from calib.networks.prior import NetworkKnowledge
@@ -135,9 +135,9 @@ def bound_of_room(truth: Room, patches: Sequence[Patch], prior: RoomPrior, noise
     """
     exact = [replace(patch, cells=replace(patch.cells, projector_px=patch.predict(truth)[0])) for patch in patches]
     variances = [noise_px**2 * (patch.cells.sigma_px / patch.cells.noise_px) ** 2 for patch in patches]
-    fit = evaluate_room(exact, truth, prior, variances)
     seen = np.isin(np.arange(len(truth.planes)), [patch.plane for patch in patches])
-    return covariance_of(fit.information, prior.free(seen))
+    problem = Problem(exact, variances, prior, prior.free(seen))
+    return problem.covariance(problem.evaluate(truth))
 
 
 def bound_of_network(made: SyntheticNetwork, names: Sequence[str], noise_px: float) -> Floats:
@@ -166,11 +166,11 @@ def bound_of_network(made: SyntheticNetwork, names: Sequence[str], noise_px: flo
             variances.append(noise_px**2 * (own.sigma_px / own.noise_px) ** 2)
     sizes = {name: device.size for name, device in made.devices.items()}
     knowledge = NetworkKnowledge(sizes, frozenset(camera for camera, _ in made.captures))
-    fit = evaluate_room(sights, truth, knowledge.prior(tuple(names)), variances)
     seen = {sight.plane for sight in sights}
     free = knowledge.free(truth, names)
     for plane in range(len(truth.planes)):
         free[truth.plane_columns(plane)] = plane in seen
     focals = [truth.device_columns(number).start for number in range(len(names))]
-    sigmas: Floats = np.sqrt(np.diag(covariance_of(fit.information, free)))[focals]
+    problem = Problem(sights, variances, knowledge.prior(tuple(names)), free)
+    sigmas: Floats = np.sqrt(np.diag(problem.covariance(problem.evaluate(truth))))[focals]
     return sigmas

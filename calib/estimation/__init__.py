@@ -1,7 +1,7 @@
-"""Estimation: likelihood of matches on planes, its noise, waves of surfaces, smooth errors, and scores."""
+"""Estimation: problems of maximum likelihood, noise of their matches, waves of surfaces, smooth errors, and scores."""
 
-from calib.estimation.likelihood import CONVERGED, Fit, Joint, Layout, evaluate, minimise, squareness
 from calib.estimation.noise import UNKNOWN, NoiseLevels, block_inflation, blocks_of, measured, of_station, rough_levels
+from calib.estimation.problem import CONVERGED, Fit, Joint, Part, Problem, Term, add_up, squareness
 from calib.estimation.scores import (
     WRONG_ASSOCIATION,
     PatchSums,

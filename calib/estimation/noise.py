@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.estimation.likelihood import AnyLayout, Fit, Part
+from calib.estimation.problem import AnyPlanes, Fit, PlanePart, Problem
 from calib.estimation.scores import plane_scores
 from calib.numerics import (
     CUBIC,
     MEDIAN_LENGTH,
     TERMS,
-    Bools,
     Floats,
     Ints,
     huber_weights,
@@ -43,12 +42,12 @@ class NoiseLevels:
     planes: Floats
     alike: float
 
-    def variances(self, patches: Sequence[Part[AnyLayout]]) -> list[Floats]:
+    def variances(self, patches: Sequence[PlanePart[AnyPlanes]]) -> list[Floats]:
         """Of each coordinate of each cell, (M,) for each patch."""
         return [self.planes[patch.plane] * self.stations[patch.capture].variances(patch.cells) for patch in patches]
 
 
-def rough_levels(patches: Sequence[Part[AnyLayout]], residuals: Sequence[Floats]) -> Floats:
+def rough_levels(patches: Sequence[PlanePart[AnyPlanes]], residuals: Sequence[Floats]) -> Floats:
     """One variance for all cells of each patch, that of its station's residuals, robustly, (patches,)."""
     stations = np.array([patch.capture for patch in patches])
     levels = np.empty(len(patches))
@@ -60,22 +59,21 @@ def rough_levels(patches: Sequence[Part[AnyLayout]], residuals: Sequence[Floats]
 
 
 def measured(
-    patches: Sequence[Part[AnyLayout]],
-    fit: Fit[AnyLayout],
-    variances: Sequence[Floats],
-    free: Bools,
+    problem: Problem[AnyPlanes, PlanePart[AnyPlanes]],
+    fit: Fit[AnyPlanes],
     repeats: Sequence[int],
     *,
     one_rig: bool = True,
 ) -> NoiseLevels:
-    """Noise levels from a fit under some variances of the cells. `repeats`: number of stations at the place of each.
-    `one_rig`: whether all captures are of the same two devices.
+    """Noise levels from a problem's fit. `repeats`: number of stations at the place of each. `one_rig`: whether all
+    captures are of the same two devices.
 
     Long waves have two causes: smooth errors of a station, in all its patches, and uneven planes, in all stations that
     see them. A station's overdispersion is measured without outlying patches. Ties measure the differences of planes
     between stations. Smooth errors that are equal at all stations are those of the lenses, and count once.
     """
-    absorbed = np.count_nonzero(free) / len(patches)
+    patches = problem.parts
+    absorbed = np.count_nonzero(problem.free) / len(patches)
     waves = np.full(len(patches), np.nan)
     stations = []
     for station, times in enumerate(repeats):
@@ -88,7 +86,7 @@ def measured(
     flat = NoiseLevels(tuple(stations), np.ones(len(fit.layout.planes)), alike)
     of_stations = np.array([stations[patch.capture].inflation for patch in patches])
     by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.layout)
-    scores, freedom = plane_scores(patches, fit, variances, free, flat.variances(patches))
+    scores, freedom = plane_scores(problem, fit, flat.variances(patches))
     by_ties = _overdispersions(scores.tolist(), freedom.tolist())
     return replace(flat, planes=np.maximum(by_waves, by_ties))
 
@@ -112,7 +110,7 @@ def of_station(seen: Sequence[Cells], residuals: Sequence[Floats], absorbed: flo
     return replace(noise, inflation=inflation), waves
 
 
-def _coherence(patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], stations: Sequence[Noise]) -> float:
+def _coherence(patches: Sequence[PlanePart[AnyPlanes]], fit: Fit[AnyPlanes], stations: Sequence[Noise]) -> float:
     """From 0 to 1, how far smooth errors across the epipolar lines are equal at all stations.
 
     Across them, no plane can absorb an error, and no uneven plane causes one. The value is the share of the variance
@@ -142,7 +140,7 @@ def _explained(information: Floats, pull: Floats) -> float:
     return float(pull @ np.linalg.pinv(information, hermitian=True) @ pull)
 
 
-def _of_planes(patches: Sequence[Part[AnyLayout]], totals: Floats, freedom: Floats, layout: AnyLayout) -> Floats:
+def _of_planes(patches: Sequence[PlanePart[AnyPlanes]], totals: Floats, freedom: Floats, layout: AnyPlanes) -> Floats:
     """Factor on each plane's variances beyond those of the stations, (planes,), from χ² and its degrees of freedom."""
     planes = np.array([patch.plane for patch in patches])
     known = np.isfinite(totals)

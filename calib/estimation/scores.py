@@ -4,72 +4,62 @@ C. R. Rao, *Large sample tests of statistical hypotheses concerning several para
 stations that see a plane see one plane: what it would gain to let a station's view of it be another.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from calib.estimation.likelihood import PLANE, AnyLayout, AnyPart, Fit, Part
+from calib.estimation.problem import PLANE, AnyPlanePart, AnyPlanes, Fit, PlanePart, Problem, Term, add_up
 from calib.geometry import PER_PLANE
-from calib.numerics import Bools, Floats, Ints, huber_weights
-from calib.refinement import ROBUST_SIGMAS, covariance_of
+from calib.numerics import Floats, Ints, Quadratic
 
 _LEAST_SHARE = 1e-3  # share of a parameter's own information below which a direction is undetermined
 
 
 @dataclass(frozen=True, eq=False)
 class PatchSums:
-    """Sums of a patch: half the gradient (24,) and the information (24, 24) of its own columns, with their derivatives
-    `by_room` (24, 30) by the room's `columns` (30,).
-    """
+    """Sums of a patch by its own columns, and by the layout's."""
 
-    slope: Floats
-    information: Floats
+    own: Quadratic
+    """By its own columns, (P,)."""
+    carried: Floats
+    """(P, Q): derivatives of these by the layout's columns."""
     columns: Ints
-    by_room: Floats
+    """(Q,): those columns."""
 
     @classmethod
-    def of(cls, patch: Part[AnyLayout], fit: Fit[AnyLayout], residual: Floats, variance: Floats) -> "PatchSums":
+    def of(cls, patch: PlanePart[AnyPlanes], fit: Fit[AnyPlanes], residual: Floats, variance: Floats) -> "PatchSums":
         """From a patch's `residual` (M, 2) of a fit, under a `variance` (M,) of each coordinate."""
         root = 1 / np.sqrt(variance)[:, None]
-        jacobian, residual = patch.predict(fit.layout)[1] * root[:, :, None], residual * root
-        weight = np.sqrt(huber_weights(np.linalg.norm(residual, axis=1), ROBUST_SIGMAS))
-        rows, off = (
-            (jacobian * weight[:, None, None]).reshape(-1, jacobian.shape[2]),
-            (residual * weight[:, None]).ravel(),
-        )
-        return cls(rows.T @ off, rows.T @ rows, patch.columns(fit.layout), patch.carried(fit.layout))
+        jacobian = patch.predict(fit.layout)[1] * root[:, :, None]
+        own = Term.robust(np.arange(jacobian.shape[2]), residual * root, jacobian)
+        return cls(own, patch.carried(fit.layout), patch.columns(fit.layout))
 
     @property
-    def pull(self) -> Floats:
-        """Half the gradient of `columns`."""
-        return self.by_room.T @ self.slope
-
-    @property
-    def weight(self) -> Floats:
-        """The information of `columns`."""
-        return self.by_room.T @ self.information @ self.by_room
+    def term(self) -> Term:
+        """By the layout's columns."""
+        own, by_layout = self.own, self.carried
+        return Term(own.cost, by_layout.T @ own.gradient, by_layout.T @ own.information @ by_layout, self.columns)
 
 
 def reweighted(
-    patches: Sequence[Part[AnyLayout]],
-    fit: Fit[AnyLayout],
-    chosen: Iterable[int],
-    used: Sequence[Floats],
-    now: Sequence[Floats],
-) -> tuple[Floats, Floats, list[PatchSums]]:
-    """Half the gradient (size,) and the information (size, size) of a fit, and their change by the `chosen` patches.
-
-    Variances (M,) of their cells are those of `now` instead of the `used` ones.
-    """
-    gradient, information, sums = fit.gradient.copy(), fit.information.copy(), list[PatchSums]()
-    for i in chosen:
-        before, after = (PatchSums.of(patches[i], fit, fit.residuals[i], each[i]) for each in (used, now))
-        gradient[after.columns] += after.pull - before.pull
-        information[np.ix_(after.columns, after.columns)] += after.weight - before.weight
-        sums.append(after)
-    return gradient, information, sums
+    problem: Problem[AnyPlanes, PlanePart[AnyPlanes]],
+    fit: Fit[AnyPlanes],
+    chosen: Sequence[int],
+    variances: Sequence[Floats],
+) -> tuple[Quadratic, list[PatchSums]]:
+    """A fit as if the `chosen` parts had these `variances` (M,) of their cells, and the sums of these."""
+    before, after = (
+        [PatchSums.of(problem.parts[i], fit, fit.residuals[i], of_parts[i]) for i in chosen]
+        for of_parts in (problem.variances, variances)
+    )
+    less, more = (add_up(fit.layout.size, (sums.term for sums in of_parts)) for of_parts in (before, after))
+    return Quadratic(
+        fit.cost + more.cost - less.cost,
+        fit.gradient + more.gradient - less.gradient,
+        fit.information + more.information - less.information,
+    ), after
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,42 +92,35 @@ def score(slope: Floats, information: Floats, across: Floats, covariance: Floats
 WRONG_ASSOCIATION = 30.0  # per degree of freedom, relative to the usual value
 
 
-def association_scores(
-    patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], variances: Sequence[Floats], free: Bools
-) -> tuple[Floats, Floats]:
+def association_scores(problem: Problem[AnyPlanes, PlanePart[AnyPlanes]], fit: Fit[AnyPlanes]) -> tuple[Floats, Floats]:
     """Rao's score, a χ² statistic, of a separate plane for each patch, and its degrees of freedom, (patches,) each.
 
     A plane with one patch has no freedom. Scores of patches on one plane are dependent: those of two are equal.
     """
-    covariance = covariance_of(fit.information, free)
-    planes = np.array([patch.plane for patch in patches])
+    covariance = problem.covariance(fit)
+    planes = np.array([patch.plane for patch in problem.parts])
     tied = np.bincount(planes)[planes] > 1
-    scores, freedom = np.zeros(len(patches)), np.zeros(len(patches))
+    scores, freedom = np.zeros(len(planes)), np.zeros(len(planes))
     for i in np.flatnonzero(tied).tolist():
-        sums = PatchSums.of(patches[i], fit, fit.residuals[i], variances[i])
+        sums = PatchSums.of(problem.parts[i], fit, fit.residuals[i], problem.variances[i])
         scores[i], freedom[i] = _score([sums], covariance, np.zeros(fit.layout.size))
     return scores, freedom
 
 
 def plane_scores(
-    patches: Sequence[Part[AnyLayout]],
-    fit: Fit[AnyLayout],
-    variances: Sequence[Floats],
-    free: Bools,
-    flat: Sequence[Floats],
+    problem: Problem[AnyPlanes, PlanePart[AnyPlanes]], fit: Fit[AnyPlanes], flat: Sequence[Floats]
 ) -> tuple[Floats, Floats]:
     """Scores and degrees of freedom of each plane of the room, for separate planes of all its patches, (planes,) each.
 
-    `flat`: variances of cells on flat planes. Each plane is assumed to be flat, and the fit under its `variances`
-    follows to first order: a plane with reduced weight must be tested with full weight.
+    `flat`: variances of cells on flat planes. Each plane is assumed to be flat, and the fit under the problem's
+    variances follows to first order: a plane with reduced weight must be tested with full weight.
     """
     scores, freedom = np.zeros(len(fit.layout.planes)), np.zeros(len(fit.layout.planes))
-    planes = np.array([patch.plane for patch in patches])
+    planes = np.array([patch.plane for patch in problem.parts])
     for plane in np.flatnonzero(np.bincount(planes) > 1):
-        chosen = np.flatnonzero(planes == plane).tolist()
-        gradient, information, own = reweighted(patches, fit, chosen, variances, flat)
-        covariance = covariance_of(information, free)
-        scores[plane], freedom[plane] = _score(own, covariance, -covariance @ gradient)
+        flattened, own = reweighted(problem, fit, np.flatnonzero(planes == plane).tolist(), flat)
+        covariance = problem.covariance(flattened)
+        scores[plane], freedom[plane] = _score(own, covariance, -covariance @ flattened.gradient)
     return scores, freedom
 
 
@@ -145,14 +128,16 @@ def _score(patches: Sequence[PatchSums], covariance: Floats, step: Floats) -> tu
     """Scores of separate planes for the patches."""
     across = np.zeros((len(patches) * PER_PLANE, len(step)))
     for rows, patch in zip(across.reshape(len(patches), PER_PLANE, -1), patches, strict=True):
-        rows[:, patch.columns] = patch.information[PLANE] @ patch.by_room
-    slope = np.concatenate([patch_sums.slope[PLANE] for patch_sums in patches])
-    information = scipy.linalg.block_diag(*[patch_sums.information[PLANE, PLANE] for patch_sums in patches])
+        rows[:, patch.columns] = patch.own.information[PLANE] @ patch.carried
+    slope = np.concatenate([patch.own.gradient[PLANE] for patch in patches])
+    information = scipy.linalg.block_diag(*[patch.own.information[PLANE, PLANE] for patch in patches])
     tie_score = score(slope, information, across, covariance, step)
     return tie_score.value, tie_score.freedom
 
 
-def separate_plane(layout: AnyLayout, parts: Sequence[AnyPart], number: int) -> tuple[AnyLayout, tuple[AnyPart, ...]]:
+def separate_plane(
+    layout: AnyPlanes, parts: Sequence[AnyPlanePart], number: int
+) -> tuple[AnyPlanes, tuple[AnyPlanePart, ...]]:
     """One part on a separate plane, added to the layout's, which starts at the common one."""
     part = parts[number]
     more = replace(layout, planes=(*layout.planes, layout.planes[part.plane]))

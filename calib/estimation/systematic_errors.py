@@ -16,18 +16,16 @@ from typing import Generic
 
 import numpy as np
 
-from calib.estimation.likelihood import AnyLayout, Fit, Part
 from calib.estimation.noise import NoiseLevels
+from calib.estimation.problem import AnyPlanes, Fit, PlanePart, Problem
 from calib.geometry import tangent_basis
-from calib.numerics import CUBIC, Bools, Floats, Ints, by_pixel, orthonormal_polynomials
+from calib.numerics import CUBIC, Floats, Ints, by_pixel, orthonormal_polynomials
 from calib.refinement import Shifts
 
 
 def covariance_of_shifts(
-    patches: Sequence[Part[AnyLayout]],
-    fit: Fit[AnyLayout],
-    variances: Sequence[Floats],
-    free: Bools,
+    problem: Problem[AnyPlanes, PlanePart[AnyPlanes]],
+    fit: Fit[AnyPlanes],
     levels: NoiseLevels,
     shifts: Sequence[Shifts],
 ) -> Floats:
@@ -35,7 +33,7 @@ def covariance_of_shifts(
 
     Stations at one place have the same errors, and are shifted together.
     """
-    columns = np.flatnonzero(free)
+    patches, variances, columns = problem.parts, problem.variances, np.flatnonzero(problem.free)
     covariance = np.zeros_like(fit.information)
     hidden = [_hidden_px(patches, variances, station, len(columns) / len(patches)) for station in range(len(shifts))]
     for station, of_station in enumerate(shifts):
@@ -58,7 +56,9 @@ def covariance_of_shifts(
     return covariance
 
 
-def _hidden_px(patches: Sequence[Part[AnyLayout]], variances: Sequence[Floats], station: int, absorbed: float) -> float:
+def _hidden_px(
+    patches: Sequence[PlanePart[AnyPlanes]], variances: Sequence[Floats], station: int, absorbed: float
+) -> float:
     """How large each of a station's smooth errors may be, as of `Shifts.smooth_px`, before its residuals show it.
 
     Of a patch with M cells of variance v each polynomial's amplitude has the variance v / M by chance. Errors of the
@@ -75,7 +75,7 @@ def _hidden_px(patches: Sequence[Part[AnyLayout]], variances: Sequence[Floats], 
     return float(np.sqrt(np.sqrt(2 / freedom) / np.mean(own))) if freedom > 1 else np.inf
 
 
-def _fields(patch: Part[AnyLayout]) -> Floats:
+def _fields(patch: PlanePart[AnyPlanes]) -> Floats:
     """Every polynomial up to the cubic ones over a patch, orthonormal in the mean, along either axis, (M, 2, 2 K)."""
     modes = orthonormal_polynomials(patch.cells.camera_px)
     along = np.zeros((len(patch.cells), 2, 2 * modes.shape[1]))
@@ -83,7 +83,7 @@ def _fields(patch: Part[AnyLayout]) -> Floats:
     return along
 
 
-def _pull(layout: AnyLayout, patch: Part[AnyLayout], variance: Floats, fields: Floats) -> Floats:
+def _pull(layout: AnyPlanes, patch: PlanePart[AnyPlanes], variance: Floats, fields: Floats) -> Floats:
     """Σ Jᵀ s / v for fields s (M, 2, K), (size, K)."""
     _, jacobian, _ = patch.predict(layout)
     own = np.einsum("nac,nak->ck", jacobian / variance[:, None, None], fields, optimize=True)
@@ -92,7 +92,7 @@ def _pull(layout: AnyLayout, patch: Part[AnyLayout], variance: Floats, fields: F
     return pull
 
 
-def _gradient(layout: AnyLayout, patch: Part[AnyLayout]) -> Floats:
+def _gradient(layout: AnyPlanes, patch: PlanePart[AnyPlanes]) -> Floats:
     """Of the projector's pixels (rows) by the camera's, (M, 2, 2)."""
     return by_pixel(lambda pixels: patch.predict(layout, pixels)[0], patch.cells.camera_px)
 
@@ -102,22 +102,20 @@ _LEAST_LEFT = 1e-3  # share of the waves left by the fit; with less, residuals d
 
 
 def covariance_of_waves(
-    patches: Sequence[Part[AnyLayout]],
-    fit: Fit[AnyLayout],
-    variances: Sequence[Floats],
-    free: Bools,
+    problem: Problem[AnyPlanes, PlanePart[AnyPlanes]],
+    fit: Fit[AnyPlanes],
     levels: NoiseLevels,
 ) -> tuple[Floats, Floats]:
     """The covariance (size, size) that the waves of planes which are not flat give the room.
 
     With it their root mean square heights (P,) in baselines; 0 for planes that may be flat.
     """
-    columns = np.flatnonzero(free)
+    columns = np.flatnonzero(problem.free)
     covariance, heights = np.zeros_like(fit.information), np.zeros(len(fit.layout.planes))
     for plane in np.flatnonzero(levels.planes > 1).tolist():
         on_plane = [
             _Waves(fit, patch, residual, variance)
-            for patch, residual, variance in zip(patches, fit.residuals, variances, strict=True)
+            for patch, residual, variance in zip(problem.parts, fit.residuals, problem.variances, strict=True)
             if patch.plane == plane
         ]
         modes = modes_over([waves.patch.points(fit.layout) for waves in on_plane], fit.layout.planes[plane].normal)
@@ -139,10 +137,10 @@ def covariance_of_waves(
     return covariance, heights
 
 
-class _Waves(Generic[AnyLayout]):
+class _Waves(Generic[AnyPlanes]):
     """One patch of a plane, and what heights (M,) of the plane under its cells do."""
 
-    def __init__(self, fit: Fit[AnyLayout], patch: Part[AnyLayout], residual: Floats, variance: Floats) -> None:
+    def __init__(self, fit: Fit[AnyPlanes], patch: PlanePart[AnyPlanes], residual: Floats, variance: Floats) -> None:
         self.fit, self.patch = fit, patch
         _, self.jacobian, _ = patch.predict(fit.layout)
         self.by_height = self.jacobian[:, :, -1]

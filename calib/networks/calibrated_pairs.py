@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.estimation import Term
 from calib.geometry import cross_matrix, tangent_basis
 from calib.networks.network import PER_NODE, PLACE, Network
 from calib.numerics import Floats, Ints
@@ -59,13 +60,13 @@ class CalibratedPair:
         every = np.arange(network.size, dtype=np.int32)
         return np.concatenate([every[network.device_columns(device)] for device in (self.camera, self.projector)])
 
-    def misfit(self, network: Network) -> tuple[float, Floats, Floats]:
-        """Cost, half its gradient (36,) and half its Gauss–Newton Hessian (36, 36), of `columns`."""
+    def misfit(self, network: Network) -> Term:
+        """The cost of another rig."""
         step, by_rig = self.rig.linearised(self.rig_in(network))
         by_columns = by_rig @ self._by_columns(network)
         pull = self.precision @ step
-        gradient = by_columns.T @ (pull + self.pull)
-        return float(step @ (pull + 2 * self.pull)), gradient, by_columns.T @ self.precision @ by_columns
+        cost, gradient = float(step @ (pull + 2 * self.pull)), by_columns.T @ (pull + self.pull)
+        return Term(cost, gradient, by_columns.T @ self.precision @ by_columns, self.columns(network))
 
     def disagreement(self, network: Network, covariance: Floats) -> tuple[float, float]:
         """χ² of how far the pair as calibrated is from what it is in the most likely network, and its expected value.

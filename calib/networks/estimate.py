@@ -1,6 +1,6 @@
 """One maximum-likelihood estimate of all devices of a network and the planes that they share."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +11,6 @@ from calib.estimation import (
     Fit,
     association_scores,
     covariance_of_shifts,
-    minimise,
     separate_plane,
 )
 from calib.finding import FindingKind
@@ -20,7 +19,7 @@ from calib.networks.diagnostics import Strain, not_connected, refuse_mirrored, s
 from calib.networks.initialisation import ROUGH, Grown
 from calib.networks.moves import Explanation, likeliest, moves
 from calib.networks.network import WARP, Device, Network
-from calib.networks.observations import PairName, PlaneObservation
+from calib.networks.observations import NetworkProblem, PairName, PlaneObservation
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.warps import Warps, find_warps, is_strained, or_moved, warped, weighed
 from calib.networks.weights import Weights
@@ -59,7 +58,7 @@ class NetworkEstimate:
     covariance: Floats
     noise: Mapping[PairName, Noise]
     seed: PairName
-    sights: tuple[PlaneObservation, ...]
+    sights: Sequence[PlaneObservation]
     waves: Floats
     warps: Warps
     strains: Mapping[PairName, Strain]
@@ -193,61 +192,60 @@ def _calibrated(pair: PairName, matches: Matches, knowledge: NetworkKnowledge, m
     )
 
 
-def _first_fit(grown: Grown) -> tuple[tuple[PlaneObservation, ...], Fit[Network], str]:
+def _first_fit(grown: Grown) -> tuple[Sequence[PlaneObservation], Fit[Network], str]:
     """The sights to use, a fit to them, and the device that was moved between its captures, if one was.
 
     Sights that end behind a device are left out. Those that are not on the plane that they were taken for have planes
     of their own, unless one device that was moved, or warped pictures, are likelier than all of these.
     """
     tied, fit = _fit_in_front(grown, grown.network, grown.sights)
-    sights, untied_fit = _without_wrong_associations(grown, tied, fit)
+    untied, untied_fit = _without_wrong_associations(grown, tied, fit)
     wrong = len(untied_fit.layout.planes) - len(fit.layout.planes)
-    if not wrong and not is_strained(sights, fit):
-        return tied, fit, ""
-    alone = Weights.of_noise(sights).fitted(grown, sights, untied_fit.layout, grown.free(untied_fit.layout), ROUGH)
-    as_it_is = Explanation(alone, sights, PER_PLANE * wrong)
-    likely = likeliest(as_it_is, [*moves(grown, tied, fit.layout), warped(grown, tied, fit)])
+    if not wrong and not is_strained(untied.parts, fit):
+        return tied.parts, fit, ""
+    of_noise = Weights.of_noise(untied.parts)
+    alone = of_noise.fitted(grown, untied.parts, untied_fit.layout, grown.free(untied_fit.layout), ROUGH)
+    as_it_is = Explanation(alone, untied.parts, PER_PLANE * wrong)
+    likely = likeliest(as_it_is, [*moves(grown, tied.parts, fit.layout), warped(grown, tied.parts, fit)])
     if likely is as_it_is or likely.fit.cost > _EXPLAINED * fit.cost:
-        return sights, untied_fit, ""
-    return tied, fit, likely.moved
+        return untied.parts, untied_fit, ""
+    return tied.parts, fit, likely.moved
 
 
 def _fit_in_front(
-    grown: Grown, network: Network, sights: tuple[PlaneObservation, ...]
-) -> tuple[tuple[PlaneObservation, ...], Fit[Network]]:
+    grown: Grown, network: Network, sights: Sequence[PlaneObservation]
+) -> tuple[NetworkProblem, Fit[Network]]:
     """A fit near a network, without sights that end behind a device."""
-    prior = grown.knowledge.prior(grown.names)
     network, kept = _in_front(network, sights)
     while True:
-        sights, variances = kept, [sight.cells.sigma_px**2 for sight in kept]
-        free, joints = grown.free(network), grown.joints(network)
-        fit = minimise(sights, network, prior, variances, free, joints=joints, tolerance=ROUGH)
-        network, kept = _in_front(fit.layout, sights)
-        if len(kept) == len(sights):
-            return sights, fit
+        problem = grown.problem(network, kept)
+        fit = problem.minimise(network, tolerance=ROUGH)
+        network, kept = _in_front(fit.layout, kept)
+        if len(kept) == len(problem.parts):
+            return problem, fit
 
 
 def _without_wrong_associations(
-    grown: Grown, sights: tuple[PlaneObservation, ...], fit: Fit[Network]
-) -> tuple[tuple[PlaneObservation, ...], Fit[Network]]:
+    grown: Grown, problem: NetworkProblem, fit: Fit[Network]
+) -> tuple[NetworkProblem, Fit[Network]]:
     """With planes of their own for sights that are not on the plane that they were taken for."""
     while True:
-        network, variances, free = fit.layout, [sight.cells.sigma_px**2 for sight in sights], grown.free(fit.layout)
-        scores, freedom = association_scores(sights, fit, variances, free)
+        scores, freedom = association_scores(problem, fit)
         per_freedom = np.where(freedom > 0, scores / np.maximum(freedom, 1), 0.0)
         limit = (
             WRONG_ASSOCIATION * max(float(np.median(per_freedom[freedom > 0])), 1.0) if (freedom > 0).any() else np.inf
         )
+        network, sights = fit.layout, tuple(problem.parts)
         for plane in range(len(network.planes)):
             worst = max((i for i, s in enumerate(sights) if s.plane == plane), key=lambda i: float(per_freedom[i]))
             if per_freedom[worst] > limit:
                 network, sights = separate_plane(network, sights, worst)
         if len(network.planes) == len(fit.layout.planes):
-            return sights, fit
-        sights, fit = _fit_in_front(grown, network, sights)
+            return problem, fit
+        problem, fit = _fit_in_front(grown, network, sights)
 
 
-def _in_front(network: Network, sights: tuple[PlaneObservation, ...]) -> tuple[Network, tuple[PlaneObservation, ...]]:
+def _in_front(network: Network, sights: Sequence[PlaneObservation]) -> tuple[Network, tuple[PlaneObservation, ...]]:
     """Sights that are before both devices, all but strays, and the planes that have one."""
     kept = [sight for sight in sights if np.mean((sight.predict(network)[2] > 0).all(axis=1)) >= _IN_FRONT]
     planes_kept = sorted({sight.plane for sight in kept})
@@ -269,7 +267,6 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
     for last in range(_ROUNDS):
         levels, weights = weights.measured_anew(grown, sights, fit, free)
         fit = weights.fitted(grown, sights, fit.layout, free, CONVERGED if last == _ROUNDS - 1 else ROUGH)
-    variances = weights.variances
     waves = np.zeros(len(fit.layout.planes))
     for plane, surface in enumerate(weights.surfaces):
         heights = surface.solved(fit.layout).amplitudes
@@ -277,7 +274,7 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
     of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
     hidden, of_warps = weighed(sights, fit, free, grown.names)
     covariance = covariance_of(fit.information, free) + of_warps
-    covariance += covariance_of_shifts(sights, fit, variances, free, levels, of_shifts)
+    covariance += covariance_of_shifts(weights.problem(grown, sights, free), fit, levels, of_shifts)
     on_planes = {sight.capture for sight in sights}
     noise = {
         pair: level if i in on_planes else Noise(grown.overlaps.match_px(pair), 0.0, 0.0, 1.0)

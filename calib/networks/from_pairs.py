@@ -12,14 +12,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from calib.estimation import CONVERGED, Fit, minimise
+from calib.estimation import CONVERGED, Fit
 from calib.geometry import IDENTITY, NO_FACE, Matches, Size, depths_of_rays
 from calib.networks.calibrated_pairs import CalibratedPair
 from calib.networks.diagnostics import Strain, not_connected
 from calib.networks.estimate import NetworkEstimate, checked_captures
 from calib.networks.initialisation import FEWEST_TO_PLACE, ROUGH, Grown, placed, placed_before_wall, sees
 from calib.networks.network import Device, Network
-from calib.networks.observations import Overlaps, PairName
+from calib.networks.observations import NetworkProblem, Overlaps, PairName
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.shared_points import SharedPoints
 from calib.networks.warps import Warps
@@ -196,7 +196,7 @@ def _with_next(seen: _Stations, network: Network, names: tuple[str, ...]) -> tup
 
 def _fitted(seen: _Stations, network: Network, names: tuple[str, ...], free: Bools, tolerance: float) -> Fit[Network]:
     prior = replace(seen.knowledge.prior(names), square=())
-    return minimise((), network, prior, (), free, joints=seen.factors(network, names), tolerance=tolerance)
+    return NetworkProblem((), (), prior, free, seen.factors(network, names)).minimise(network, tolerance=tolerance)
 
 
 def _as_grown(seen: _Stations, network: Network, names: tuple[str, ...]) -> Grown:

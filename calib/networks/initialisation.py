@@ -5,13 +5,12 @@ device shares pixels with two others. Each new device starts from the direct lin
 a wall, and the joint estimate takes it from there.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.closed_form import resected
-from calib.estimation import minimise
 from calib.geometry import (
     IDENTITY,
     NO_FACE,
@@ -25,7 +24,7 @@ from calib.geometry import (
     unproject,
 )
 from calib.networks.network import Device, Network
-from calib.networks.observations import Overlaps, PairName, PlaneObservation, pixels_of, points_on
+from calib.networks.observations import NetworkProblem, Overlaps, PairName, PlaneObservation, pixels_of, points_on
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.raster import label_map, read
 from calib.networks.shared_points import SharedPoints
@@ -181,6 +180,11 @@ class Grown:
         }
         return tuple(self.overlaps.joints(network, self.names, labelled))
 
+    def problem(self, network: Network, sights: Sequence[PlaneObservation]) -> NetworkProblem:
+        """What tells of it, near a network, by the scatter of matches alone."""
+        variances, prior = [sight.cells.sigma_px**2 for sight in sights], self.knowledge.prior(self.names)
+        return NetworkProblem(sights, variances, prior, self.free(network), self.joints(network))
+
     def labelled_anew(self) -> "Grown":
         """With labels of planes that were met later."""
         matches = {pair: self._labels(pair) for pair in self.labelled}
@@ -270,12 +274,11 @@ class Grown:
         return replace(self, labelled={**self.labelled, pair: matches}, sights=(*self.sights, *own))
 
     def _settled(self, free: Bools) -> "Grown":
-        variances = [sight.cells.sigma_px**2 for sight in self.sights]
-        network, prior = self.network, self.knowledge.prior(self.names)
+        network = self.network
         for _ in range(_ROUNDS):
-            joints = self.joints(network)
-            network = minimise(self.sights, network, prior, variances, free, joints=joints, tolerance=ROUGH).layout
-            if not joints:
+            problem = replace(self.problem(network, self.sights), free=free)
+            network = problem.minimise(network, tolerance=ROUGH).layout
+            if not problem.joints:
                 break
         return replace(self, network=network)
 

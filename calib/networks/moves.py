@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.estimation import Fit
+from calib.estimation import Fit, Term
 from calib.geometry import PER_PLANE, PER_POSE
 from calib.networks.initialisation import ROUGH, Grown
 from calib.networks.network import Network
 from calib.networks.observations import PlaneObservation
 from calib.networks.weights import Weights
-from calib.numerics import CUBIC, Floats, Ints
+from calib.numerics import CUBIC
 from calib.refinement import PER_DEVICE, long_waves
 
 _SAME = np.array([1e-5, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])  # of log f, x_0, y_0, k1, k2, p1, p2, k3
@@ -33,17 +33,12 @@ class SameLens:
     one: int
     other: int
 
-    def columns(self, network: Network) -> Ints:
-        """Those of both lenses, (16,)."""
-        every = np.arange(network.size, dtype=np.int32)
-        return np.concatenate([every[network.device_columns(device)][:PER_DEVICE] for device in (self.one, self.other)])
-
-    def misfit(self, network: Network) -> tuple[float, Floats, Floats]:
-        """Of the difference of both lenses: cost, half its gradient (16,) and half its Hessian (16, 16)."""
+    def misfit(self, network: Network) -> Term:
+        """Of the difference of both lenses."""
         first, second = (network.devices[device].lens for device in (self.one, self.other))
         off = np.array([np.log(second[0] / first[0]), *(second - first)[1:]]) / _SAME
-        slope = np.concatenate([-np.diag(1 / _SAME), np.diag(1 / _SAME)])
-        return float(off @ off), slope @ off, slope @ slope.T
+        columns = [np.r_[network.device_columns(device)][:PER_DEVICE] for device in (self.one, self.other)]
+        return Term.gaussian(np.concatenate(columns), off, np.hstack([-np.diag(1 / _SAME), np.diag(1 / _SAME)]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.estimation import Problem
 from calib.geometry import PER_PLANE, Matches, Plane, Pose, Size, cross_matrix, tangent_basis, unproject
 from calib.networks.network import PER_NODE, PER_WARP, WARP, Device, Network
 from calib.networks.raster import ImageRaster, SeenAt, depths
@@ -85,6 +86,9 @@ class PlaneObservation:
         of_projector[:, :, :PER_DEVICE] += by_lens
         of_projector[:, :, WARP] += by_warp
         return pixels, jacobian, np.stack([depth, before[:, 2]], axis=1)
+
+
+NetworkProblem = Problem[Network, PlaneObservation]
 
 
 def points_on(pixels: Floats, device: Device, plane: Plane) -> Floats:

@@ -1,11 +1,11 @@
 """What is known of devices and walls before a match is seen."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.estimation import squareness
+from calib.estimation import Term, squareness
 from calib.geometry import FACES, Size
 from calib.networks.network import PLACE, WARP, Device, Network
 from calib.numerics import Bools, Floats
@@ -29,34 +29,23 @@ class NetworkPrior:
     square: tuple[tuple[int, int], ...]
     square_sigma: float
 
-    def cost(self, network: Network) -> tuple[float, Floats, Floats]:
-        """Of a network, with half its gradient (size,) and Gauss–Newton Hessian (size, size)."""
-        gradient, information = np.zeros(network.size), np.zeros((network.size, network.size))
-        every, cost = np.arange(network.size), 0.0
+    def terms(self, network: Network) -> Iterator[Term]:
+        """The cost of a network: of devices and their pictures, of angles, and of the unit of length."""
         for i, device in enumerate(network.devices):
-            columns = every[network.device_columns(i)][:PER_DEVICE]
+            columns = np.r_[network.device_columns(i)]
             root = np.where(self.sigma[i] > 0, 1 / np.where(self.sigma[i] > 0, self.sigma[i], 1.0), 0.0)
-            deviation = (np.array([np.log(device.lens[0]), *device.lens[1:]]) - self.mean[i]) * root
-            cost += float(deviation @ deviation)
-            gradient[columns] += deviation * root
-            information[columns, columns] += root**2
-            columns = every[network.device_columns(i)][WARP]
-            cost += float(np.sum((device.warp / WARP_SIGMA) ** 2))
-            gradient[columns] += device.warp / WARP_SIGMA**2
-            information[columns, columns] += WARP_SIGMA**-2
-        for off, slope in (*squareness(network, self.square, self.square_sigma), _unit_of_length(network)):
-            cost += off**2
-            gradient += slope * off
-            information += np.outer(slope, slope)
-        return cost, gradient, information
+            deviations = (np.array([np.log(device.lens[0]), *device.lens[1:]]) - self.mean[i]) * root
+            yield Term.gaussian(columns[:PER_DEVICE], deviations, np.diag(root))
+            yield Term.gaussian(columns[WARP], device.warp / WARP_SIGMA, np.diag(1 / WARP_SIGMA))
+        yield from squareness(network, self.square, self.square_sigma)
+        yield _unit_of_length(network)
 
 
-def _unit_of_length(network: Network) -> tuple[float, Floats]:
-    """How far the first two devices' distance is from 1, in sigmas, and its slope (size,)."""
+def _unit_of_length(network: Network) -> Term:
+    """How far the first two devices' distance is from 1."""
     apart = network.devices[1].pose.translation - network.devices[0].pose.translation
-    length, slope = float(np.linalg.norm(apart)), np.zeros(network.size)
-    slope[network.device_columns(1)][PLACE] = apart / length / _SCALE_SIGMA
-    return (length - 1) / _SCALE_SIGMA, slope
+    length, columns = float(np.linalg.norm(apart)), np.r_[network.device_columns(1)][PLACE]
+    return Term.gaussian(columns, np.array([length - 1]) / _SCALE_SIGMA, apart[None] / length / _SCALE_SIGMA)
 
 
 @dataclass(frozen=True)

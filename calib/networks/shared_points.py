@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from calib.estimation import block_inflation
+from calib.estimation import Term, block_inflation
 from calib.geometry import cross_matrix
 from calib.networks.network import PER_NODE, PLACE, WARP, Device, Network
 from calib.networks.raster import ImageRaster, SeenAt, depths
-from calib.numerics import Bools, Floats, Ints, evenly, huber_loss, huber_weights
+from calib.numerics import Bools, Floats, Ints, evenly
 from calib.refinement import PER_DEVICE, ROBUST_SIGMAS
 
 _MOST, _FEWEST = 2000, 30
@@ -52,17 +52,15 @@ class SharedPoints:
         number = np.sum(coordinates * np.isfinite(self.variance), axis=1, dtype=np.int64) - 1
         return np.asarray(number, np.int64)
 
-    def misfit(self, network: Network) -> tuple[float, Floats, Floats]:
-        """Cost under Huber's loss, half its gradient (Q,) and its Gauss–Newton Hessian (Q, Q), of `columns`."""
+    def misfit(self, network: Network) -> Term:
+        """The cost, under Huber's loss."""
         off, by_depth, jacobian, ahead = self._linearised(network)
-        weight = np.where(ahead[:, None], 1 / self.variance, 0.0)
-        size = np.sqrt(np.sum(weight[..., None] * off**2, axis=(1, 2)))
-        limit = ROBUST_SIGMAS * np.sqrt(self.freedom / 2)
-        cost = float(np.sum(huber_loss(size, limit))) + _BEHIND * np.count_nonzero(~ahead)
-        weight = weight * huber_weights(size, limit)[:, None]
-        left = jacobian + by_depth[..., None] * _slope_of_depth(weight, by_depth, jacobian)[:, None, None]
-        rows = (left * np.sqrt(weight)[..., None, None]).reshape(-1, left.shape[-1])
-        return cost, rows.T @ (off * np.sqrt(weight)[..., None]).ravel(), rows.T @ rows
+        root = np.where(ahead[:, None], 1 / np.sqrt(self.variance), 0.0)[..., None]
+        left = jacobian + by_depth[..., None] * _slope_of_depth(root[..., 0] ** 2, by_depth, jacobian)[:, None, None]
+        residuals, by_columns = (root * off).reshape(len(off), -1), left * root[..., None]
+        by_columns = by_columns.reshape(*residuals.shape, left.shape[-1])
+        term = Term.robust(self.columns(network), residuals, by_columns, ROBUST_SIGMAS * np.sqrt(self.freedom / 2))
+        return replace(term, cost=term.cost + _BEHIND * np.count_nonzero(~ahead))
 
     def depth_slopes(self, network: Network) -> Floats:
         """How the depths along the hub's rays follow `columns`, (M, Q)."""

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.estimation import Fit, modes_over
+from calib.estimation import Fit, Term, modes_over
 from calib.networks.network import Network
 from calib.networks.observations import PlaneObservation
-from calib.numerics import Bools, Floats, Ints, huber_loss, huber_weights
+from calib.numerics import Bools, Floats, huber_loss, huber_weights
 from calib.refinement import ROBUST_SIGMAS, covariance_of
 
 _ROUNDS = 3
@@ -36,17 +36,13 @@ class PlaneRelief:
     modes: tuple[Floats, ...]
     steepness: float
 
-    def columns(self, network: Network) -> Ints:
-        """Those of all devices that see it, and of the plane, (Q,)."""
-        return np.unique(np.concatenate([sight.columns(network) for sight in self.sights]))
-
-    def misfit(self, network: Network) -> tuple[float, Floats, Floats]:
-        """Cost at the likeliest heights, half its gradient (Q,) and half its Gauss–Newton Hessian (Q, Q)."""
+    def misfit(self, network: Network) -> Term:
+        """The cost at the likeliest heights."""
         return self.solved(network).misfit
 
     def solved(self, network: Network) -> "Heights":
         """The likeliest heights."""
-        columns = self.columns(network)
+        columns = np.unique(np.concatenate([sight.columns(network) for sight in self.sights]))
         count, size = self.modes[0].shape[1], len(columns)
         sights = []
         for sight, variance, modes in zip(self.sights, self.variances, self.modes, strict=True):
@@ -83,26 +79,25 @@ class PlaneRelief:
         information -= across.T @ inverse @ across
         # The heights are nearly, not exactly, the likeliest.
         slope -= across.T @ (inverse @ (pull + amplitudes / self.steepness**2))
-        return Heights(amplitudes, inverse, across, columns, tuple(left), (cost, slope, information))
+        return Heights(amplitudes, inverse, across, tuple(left), Term(cost, slope, information, columns))
 
 
 @dataclass(frozen=True, eq=False)
 class Heights:
     """`amplitudes` (K,), their covariance (K, K) `alone`, if the network were known, and what they have in common with
-    its `columns`, (K, Q). `left`: residuals (M, 2) of each sight.
+    the network's columns that the misfit depends on, (K, Q). `left`: residuals (M, 2) of each sight.
     """
 
     amplitudes: Floats
     alone: Floats
     across: Floats
-    columns: Ints
     left: tuple[Floats, ...]
-    misfit: tuple[float, Floats, Floats]
+    misfit: Term
 
     def told(self, steepness: float, covariance: Floats) -> float:
         """How many amplitudes the cells tell, under the `covariance` (size, size) of the network."""
-        by_network = self.alone @ self.across
-        whole = np.trace(self.alone) + np.sum(by_network @ covariance[np.ix_(self.columns, self.columns)] * by_network)
+        by_network, columns = self.alone @ self.across, self.misfit.columns
+        whole = np.trace(self.alone) + np.sum(by_network @ covariance[np.ix_(columns, columns)] * by_network)
         return max(len(self.amplitudes) - float(whole) / steepness**2, 0.0)
 
 

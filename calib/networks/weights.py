@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.estimation import UNKNOWN, Fit, Joint, NoiseLevels, measured, minimise, of_station
+from calib.estimation import UNKNOWN, Fit, Joint, NoiseLevels, measured, of_station
 from calib.networks.initialisation import Grown
 from calib.networks.network import Network
-from calib.networks.observations import PlaneObservation
+from calib.networks.observations import NetworkProblem, PlaneObservation
 from calib.networks.shared_points import SharedPoints
 from calib.networks.surfaces import PlaneRelief, likeliest_steepness, surfaces_of
 from calib.numerics import Bools, Floats
@@ -39,7 +39,7 @@ class Weights:
         """By the residuals of a fit that these weights led to."""
         joints = grown.joints(fit.layout)
         if not self.surfaces:
-            levels = measured(sights, fit, self.variances, free, [1] * len(grown.labelled), one_rig=False)
+            levels = measured(self.problem(grown, sights, free), fit, [1] * len(grown.labelled), one_rig=False)
             variances = levels.variances(sights)
             sights_and_variances = zip(sights, variances, strict=True)
             if self.rough or all(
@@ -79,14 +79,18 @@ class Weights:
         ]
         return levels, Weights(levels.variances(sights), joints, surfaces)
 
+    def problem(self, grown: Grown, sights: Sequence[PlaneObservation], free: Bools) -> NetworkProblem:
+        """What tells of a network, if all planes are flat."""
+        return NetworkProblem(sights, self.variances, grown.knowledge.prior(grown.names), free, self.joints)
+
     def fitted(
         self, grown: Grown, sights: Sequence[PlaneObservation], network: Network, free: Bools, tolerance: float
     ) -> Fit[Network]:
         """The most likely network near one."""
-        prior = grown.knowledge.prior(grown.names)
+        problem = self.problem(grown, sights, free)
         if not self.surfaces:
-            return minimise(sights, network, prior, self.variances, free, joints=self.joints, tolerance=tolerance)
-        joints: list[Joint[Network]] = [*self.surfaces, *self.joints]
-        fit = minimise((), network, prior, (), free, joints=joints, tolerance=tolerance)
+            return problem.minimise(network, tolerance=tolerance)
+        uneven = replace(problem, parts=(), variances=(), joints=(*self.surfaces, *self.joints))
+        fit = uneven.minimise(network, tolerance=tolerance)
         residuals = (sight.predict(fit.layout)[0] - sight.cells.projector_px for sight in sights)
         return replace(fit, residuals=tuple(residuals))

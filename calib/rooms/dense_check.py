@@ -18,7 +18,7 @@ from scipy.special import chdtri
 from calib.estimation import PatchSums, Score, block_inflation, blocks_of, reweighted, score
 from calib.geometry import PER_POSE, Matches
 from calib.numerics import Floats, huber_weights, robust_sigma
-from calib.refinement import ROBUST_SIGMAS, ROTATION, SHARED, TRANSLATION, covariance_of
+from calib.refinement import ROBUST_SIGMAS, ROTATION, SHARED, TRANSLATION
 from calib.rooms.estimate import RoomEstimate
 from calib.rooms.factors import SMOOTH, Contact, Patch, find_contacts
 
@@ -134,11 +134,9 @@ def changed_extrinsics(estimate: RoomEstimate) -> tuple[TurnedRig, ...]:
     if len(stations) < _FEWEST:
         return ()
     flat = _flat(estimate)
-    used = estimate.levels.variances(patches)
-    gradient, information, sums = reweighted(patches, fit, range(len(patches)), used, flat)
-    variance = np.diag(estimate.covariance)
-    covariance = covariance_of(information, np.isfinite(variance) & (variance > 0))
-    step = -covariance @ gradient
+    flattened, sums = reweighted(estimate.problem, fit, range(len(patches)), flat)
+    covariance = estimate.problem.covariance(flattened)
+    step = -covariance @ flattened.gradient
     scores = [_of_station(k, patches, sums, covariance, step) for k in stations]
     px = [_moved_px(score, k, patches, flat) for score, k in zip(scores, stations, strict=True)]
     usual_px = sorted(px)[(len(px) - 1) // 2]
@@ -162,9 +160,9 @@ def _of_station(
     own = [patch_sums for patch, patch_sums in zip(patches, sums, strict=True) if patch.station == station]
     across = np.zeros((_MOTION.stop - _MOTION.start, len(step)))
     for patch_sums in own:
-        across[:, patch_sums.columns] += patch_sums.information[_MOTION] @ patch_sums.by_room
-    slope = np.sum([patch_sums.slope[_MOTION] for patch_sums in own], axis=0)
-    information = np.sum([patch_sums.information[_MOTION, _MOTION] for patch_sums in own], axis=0)
+        across[:, patch_sums.columns] += patch_sums.own.information[_MOTION] @ patch_sums.carried
+    slope = np.sum([patch_sums.own.gradient[_MOTION] for patch_sums in own], axis=0)
+    information = np.sum([patch_sums.own.information[_MOTION, _MOTION] for patch_sums in own], axis=0)
     return score(slope, information, across, covariance, step)
 
 

@@ -16,17 +16,16 @@ from calib.estimation import (
     covariance_of_shifts,
     covariance_of_waves,
     measured,
-    minimise,
     rough_levels,
 )
 from calib.geometry import Matches, Plane, Pose
 from calib.numerics import Floats
-from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, State, covariance_of
+from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, State
 from calib.rooms.factors import Contact, Patch, Track, find_contacts, patches_of
 from calib.rooms.point_tracking import LabelledPicture, find_tracks
 from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
-from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
+from calib.rooms.rough_fit import RoomProblem, fit_roughly, in_front, seen, without_wrong_ties
 
 _ROUGH = 0.01  # tolerance in cost while noise is measured
 _ROUNDS = 3
@@ -55,18 +54,15 @@ class Undetermined:
 class RoomEstimate:
     """`covariance` (size, size): of the room's columns; NaN for planes without a cell, 0 for fixed parameters.
 
-    `patches`: the room's plane of each station's cells; planes after those of the start belong to stations that see
-    another plane than the one assigned.
-
     `residual_px` (S,): robust root mean square of each coordinate of a station's cells; NaN without cells. `reach`:
     median distance of surfaces from the camera, in baselines. `waves` (P,): unevenness of each plane, root mean square,
     in baselines; 0 if undetected. `contacts`: of surfaces that are no planes.
     """
 
+    problem: RoomProblem
     fit: Fit[Room]
     covariance: Floats
     levels: NoiseLevels
-    patches: tuple[Patch, ...]
     residual_px: Floats
     undetermined: tuple[Undetermined, ...]
     reach: float
@@ -77,6 +73,13 @@ class RoomEstimate:
     def room(self) -> Room:
         """The most likely one; the first station is where the start had it."""
         return self.fit.layout
+
+    @property
+    def patches(self) -> Sequence[Patch]:
+        """The room's plane of each station's cells; planes after those of the start belong to stations that see another
+        plane than the one assigned.
+        """
+        return self.problem.parts
 
     @property
     def rig_covariance(self) -> Floats:
@@ -127,32 +130,35 @@ def estimate_room(
     if not len(stations) == len(plane_of) == len(places):
         raise ValueError(f"{len(stations)} stations, {len(plane_of)} lists of planes, {len(places)} places")
     room = Room(start.rig, tuple(places), tuple(planes))
-    patches = patches_of(stations, plane_of)
+    patches: Sequence[Patch] = patches_of(stations, plane_of)
     reach = _reach(room, in_front(room, patches))
     # Weakly determined lens terms would compensate for wrong ties.
     known = RoomPrior.of(
         prior.holding(WEAK_TERMS), square, squareness_deg, room, place_sigma or (_FREE_ROTATION, reach)
     )
-    patches, known, fit, variances = without_wrong_ties(*fit_roughly(patches, room, known))
+    problem, fit, known = without_wrong_ties(*fit_roughly(patches, room, known), known)
     known = replace(known, rig=prior)
-    free = known.free(seen(fit.layout, patches))
+    patches, free = problem.parts, known.free(seen(fit.layout, problem.parts))
+    problem = replace(problem, prior=known, free=free)
     for _ in range(_ROUNDS):
-        levels = measured(patches, fit, variances, free, _repeats(fit.layout, reach))
-        variances = levels.variances(patches)
-        fit = minimise(patches, fit.layout, known, variances, free, tolerance=_ROUGH)
-    fit = minimise(patches, fit.layout, known, variances, free)
+        levels = measured(problem, fit, _repeats(fit.layout, reach))
+        problem = replace(problem, variances=levels.variances(patches))
+        fit = problem.minimise(fit.layout, tolerance=_ROUGH)
+    fit = problem.minimise(fit.layout)
     tracks: tuple[Track, ...] = ()
     for _ in range(_TRACKING_ROUNDS) if sights else ():
         tracks = find_tracks(sights, _planes_of_labels(patches, plane_of), fit.layout)
-        fit = minimise(patches, fit.layout, known, variances, free, joints=tracks)
+        problem = replace(problem, joints=tracks)
+        fit = problem.minimise(fit.layout)
     contacts: tuple[Contact, ...] = ()
     for share in NEAR if loose else ():
         contacts = find_contacts(loose, fit.layout, [noise.match_px for noise in levels.stations], share * reach)
-        fit = minimise(patches, fit.layout, known, variances, free, joints=(*contacts, *tracks))
+        problem = replace(problem, joints=(*contacts, *tracks))
+        fit = problem.minimise(fit.layout)
 
-    of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
-    covariance = levels.alike * (covariance_of(fit.information, free) + of_waves)
-    covariance += covariance_of_shifts(patches, fit, variances, free, levels, shifts)
+    of_waves, waves = covariance_of_waves(problem, fit, levels)
+    covariance = levels.alike * (problem.covariance(fit) + of_waves)
+    covariance += covariance_of_shifts(problem, fit, levels, shifts)
     for plane in range(len(fit.layout.planes)):
         columns = fit.layout.plane_columns(plane)
         if not free[columns].any():
@@ -161,7 +167,7 @@ def estimate_room(
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
     undetermined = undetermined_in(fit.layout, covariance, reach)
-    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves, contacts)
+    return RoomEstimate(problem, fit, covariance, levels, residual_px, undetermined, reach, waves, contacts)
 
 
 def _planes_of_labels(patches: Sequence[Patch], plane_of: Sequence[Sequence[int]]) -> list[list[int]]:

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.diagnostics import Uncertainty
-from calib.estimation import block_inflation
+from calib.estimation import Term, block_inflation
 from calib.geometry import PER_PLANE, PER_POSE, Matches, cross, tangent_basis, unproject
-from calib.numerics import Bools, Floats, Ints, by_pixel, evenly, huber_loss, huber_weights, robust_sigma
+from calib.numerics import Bools, Floats, Ints, by_pixel, evenly, robust_sigma
 from calib.refinement import (
     CAMERA,
     PER_CORNER,
@@ -166,13 +166,11 @@ class Track:
             by_pixels.append(from_camera @ by_pixel(lambda seen: unproject(room.rig.camera, seen)[0], pixels))
         return off, by_room, np.concatenate(by_pixels, axis=2)
 
-    def misfit(self, room: Room) -> tuple[float, Floats, Floats]:
-        """Cost under Huber's loss, half its gradient (36,) and its Gauss–Newton Hessian (36, 36)."""
+    def misfit(self, room: Room) -> Term:
+        """The cost, under Huber's loss."""
         off, by_room, _ = self.differences(room)
-        size = np.linalg.norm(off, axis=1) / np.sqrt(self.variance)
-        cost = float(np.sum(huber_loss(size, ROBUST_SIGMAS)))
-        weighted = by_room * (huber_weights(size, ROBUST_SIGMAS) / self.variance)[:, None, None]
-        return cost, np.einsum("nac,na->c", weighted, off), np.einsum("nac,nad->cd", weighted, by_room)
+        root = np.sqrt(self.variance)[:, None]
+        return Term.robust(self.columns(room), off / root, by_room / root[:, :, None])
 
     def __getitem__(self, chosen: Bools) -> "Track":
         """Some of the points."""
@@ -239,12 +237,11 @@ class Contact:
             axis=1,
         )
 
-    def misfit(self, room: Room) -> tuple[float, Floats, Floats]:
-        """Cost under Huber's loss, half its gradient (27,) and its Gauss–Newton Hessian (27, 27)."""
+    def misfit(self, room: Room) -> Term:
+        """The cost, under Huber's loss."""
         distances, by_room, _ = self.distances(room)
-        size = np.abs(distances) / np.sqrt(self.variance)
-        weighted = by_room * (huber_weights(size, ROBUST_SIGMAS) / self.variance)[:, None]
-        return float(np.sum(huber_loss(size, ROBUST_SIGMAS))), weighted.T @ distances, weighted.T @ by_room
+        root = np.sqrt(self.variance)[:, None]
+        return Term.robust(self.columns(room), distances[:, None] / root, (by_room / root)[:, None])
 
 
 def find_contacts(

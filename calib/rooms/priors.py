@@ -1,11 +1,11 @@
 """What is known of a rig and of a room before any match is seen."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.estimation import squareness
+from calib.estimation import Term, squareness
 from calib.geometry import tangent_basis
 from calib.numerics import Bools, Floats
 from calib.refinement import (
@@ -67,14 +67,15 @@ class RigPrior:
         precision[list(columns)] = precision[:, list(columns)] = 0.0
         return replace(self, precision=precision, known=known)
 
-    def cost(self, rig: State) -> tuple[float, Floats, Floats]:
-        """Of a rig, with half its gradient (21,) and Hessian (21, 21) in the coordinates of a step from it."""
+    def misfit(self, rig: State) -> Term:
+        """The cost of a rig, with derivatives in the coordinates of a step from it."""
         by_step = np.eye(SHARED)
         mean, own = (tangent_basis(state.pose.translation) for state in (self.mean, rig))
         by_step[TRANSLATION, TRANSLATION] = mean.T @ own
         deviation = self.mean.step_to(rig)
         pull = self.precision @ deviation
-        return float(deviation @ pull), by_step.T @ pull, by_step.T @ self.precision @ by_step
+        information = by_step.T @ self.precision @ by_step
+        return Term(float(deviation @ pull), by_step.T @ pull, information, np.arange(SHARED))
 
 
 def _to_mean(start: State, mean: Floats, sigma: Floats) -> Floats:
@@ -122,20 +123,12 @@ class RoomPrior:
             free[self.start.plane_columns(int(plane))] = False
         return free
 
-    def cost(self, room: Room) -> tuple[float, Floats, Floats]:
-        """Of a room, with half its gradient (size,) and Gauss–Newton Hessian (size, size)."""
-        gradient, information = np.zeros(room.size), np.zeros((room.size, room.size))
-        cost, gradient[:SHARED], information[:SHARED, :SHARED] = self.rig.cost(room.rig)
+    def terms(self, room: Room) -> Iterator[Term]:
+        """The cost of a room: of the rig, of where the stations are, and of angles."""
+        yield self.rig.misfit(room.rig)
         sigma = np.repeat(self.place_sigma, 3)
         step = self.start.step_to(room)
         for station in range(1, len(room.places)):
-            columns = room.place_columns(station)
-            deviation = step[columns] / sigma
-            cost += float(deviation @ deviation)
-            gradient[columns] += deviation / sigma
-            information[columns, columns] += np.diag(sigma**-2.0)
-        for deviation, slope in squareness(room, self.square, self.square_sigma):
-            cost += deviation**2
-            gradient += slope * deviation
-            information += np.outer(slope, slope)
-        return cost, gradient, information
+            columns = np.r_[room.place_columns(station)]
+            yield Term.gaussian(columns, step[columns] / sigma, np.diag(1 / sigma))
+        yield from squareness(room, self.square, self.square_sigma)

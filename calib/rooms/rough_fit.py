@@ -8,9 +8,8 @@ import numpy as np
 from calib.estimation import (
     WRONG_ASSOCIATION,
     Fit,
+    Problem,
     association_scores,
-    evaluate,
-    minimise,
     rough_levels,
     separate_plane,
 )
@@ -26,7 +25,7 @@ _SETTLED = 0.5  # share of an approximate level, after a round that hardly lower
 _LEAST_IN_FRONT = 0.98
 _MOST_WRONG = 0.25  # share of the patches
 
-Rough = tuple[tuple[Patch, ...], RoomPrior, Fit[Room], list[Floats]]
+RoomProblem = Problem[Room, Patch]
 
 BEHIND_A_DEVICE = FindingKind(
     "behind-a-device",
@@ -35,40 +34,44 @@ BEHIND_A_DEVICE = FindingKind(
 )
 
 
-def fit_roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> Rough:
+def fit_roughly(patches: Sequence[Patch], room: Room, prior: RoomPrior) -> tuple[RoomProblem, Fit[Room]]:
     """From far off, at noise levels that follow the residuals down; without patches that end behind a device."""
 
-    free, kept = prior.free(seen(room, patches)), patches
+    kept = patches
     for _ in range(_ROUNDS):
         patches = kept
         levels = _levels(patches, room, prior)
         variances = [np.full(len(patch.cells), level) for patch, level in zip(patches, levels, strict=True)]
-        fit = minimise(patches, room, prior, variances, free)
+        problem = RoomProblem(patches, variances, prior, prior.free(seen(room, patches)))
+        fit = problem.minimise(room)
         room, kept = fit.layout, in_front(fit.layout, patches)
         if len(kept) == len(patches) and np.mean(_levels(kept, room, prior)) > _SETTLED * np.mean(levels):
             break
-    return patches, prior, fit, variances
+    return problem, fit
 
 
 def _levels(patches: Sequence[Patch], room: Room, prior: RoomPrior) -> Floats:
     """Variances that the residuals show, (patches,)."""
-    ones = [np.ones(len(patch.cells)) for patch in patches]
-    return rough_levels(patches, evaluate(patches, room, prior, ones).residuals)
+    alike = RoomProblem(patches, [np.ones(len(patch.cells)) for patch in patches], prior, np.ones(room.size, np.bool_))
+    return rough_levels(patches, alike.evaluate(room).residuals)
 
 
-def without_wrong_ties(patches: tuple[Patch, ...], prior: RoomPrior, fit: Fit[Room], variances: list[Floats]) -> Rough:
-    """The fit with separate planes for patches that are not on their assigned plane."""
-    for _ in range(int(_MOST_WRONG * len(patches))):
-        scores, freedom = association_scores(patches, fit, variances, prior.free(seen(fit.layout, patches)))
+def without_wrong_ties(
+    problem: RoomProblem, fit: Fit[Room], prior: RoomPrior
+) -> tuple[RoomProblem, Fit[Room], RoomPrior]:
+    """The fit with separate planes for patches that are not on their assigned plane, and the prior with these."""
+    for _ in range(int(_MOST_WRONG * len(problem.parts))):
+        scores, freedom = association_scores(problem, fit)
         per_freedom = scores / np.maximum(freedom, 1)
         tied = freedom > 0
         worst = int(np.argmax(per_freedom))
         if not tied.any() or per_freedom[worst] < WRONG_ASSOCIATION * max(float(np.median(per_freedom[tied])), 1.0):
             break
-        start, _ = separate_plane(prior.start, patches, worst)
-        room, patches = separate_plane(fit.layout, patches, worst)
-        patches, prior, fit, variances = fit_roughly(patches, room, replace(prior, start=start))
-    return patches, prior, fit, variances
+        start, _ = separate_plane(prior.start, problem.parts, worst)
+        room, patches = separate_plane(fit.layout, problem.parts, worst)
+        prior = replace(prior, start=start)
+        problem, fit = fit_roughly(patches, room, prior)
+    return problem, fit, prior
 
 
 def seen(room: Room, patches: Sequence[Patch]) -> Bools:

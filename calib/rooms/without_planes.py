@@ -4,19 +4,21 @@ The rig is fixed to its calibration, because surfaces of arbitrary shape hardly 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from calib.estimation import NoiseLevels, minimise
+from calib.estimation import NoiseLevels
 from calib.finding import FindingKind
 from calib.geometry import Matches, Pose, unproject
 from calib.numerics import Floats
-from calib.refinement import Noise, State, covariance_of, depths
+from calib.refinement import Noise, State, depths
 from calib.refusal import RefusalError
 from calib.rooms.estimate import NEAR, RoomEstimate, undetermined_in
 from calib.rooms.factors import SMOOTH, Contact, find_contacts
 from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
+from calib.rooms.rough_fit import RoomProblem
 
 _MATCH_PX = 1 / np.sqrt(12.0)  # sigma of plain Gray code, if matches do not state theirs
 _FREE_ROTATION = 1.0  # sigma of an unconstrained rotation, in radians
@@ -38,9 +40,9 @@ def estimate_without_planes(
     room = Room(start.rig, tuple(places), ())
     reach = _reach(loose, room.rig)
     known = RoomPrior.of(prior, (), 0.0, room, (_FREE_ROTATION, reach))
-    free = known.free(np.zeros(0, np.bool_))
+    problem = RoomProblem((), (), known, known.free(np.zeros(0, np.bool_)))
     contacts: tuple[Contact, ...] = ()
-    fit = minimise((), room, known, (), free)
+    fit = problem.minimise(room)
     for share in NEAR:
         contacts = find_contacts(loose, fit.layout, [_MATCH_PX] * len(loose), share * reach, SMOOTH)
         if not contacts:
@@ -49,12 +51,13 @@ def estimate_without_planes(
                 "The stations' surfaces are too far apart to be estimated together.",
                 TOO_FAR_APART.remedy,
             )
-        fit = minimise((), fit.layout, known, (), free, joints=contacts)
-    covariance = covariance_of(fit.information, free)
+        problem = replace(problem, joints=contacts)
+        fit = problem.minimise(fit.layout)
+    covariance = problem.covariance(fit)
     levels = NoiseLevels(tuple(Noise(_MATCH_PX, 0.0, 0.0, 1.0) for _ in loose), np.zeros(0), 1.0)
     nothing = np.full(len(loose), np.nan)
     loosely = undetermined_in(fit.layout, covariance, reach)
-    return RoomEstimate(fit, covariance, levels, (), nothing, loosely, reach, np.zeros(0), contacts)
+    return RoomEstimate(problem, fit, covariance, levels, nothing, loosely, reach, np.zeros(0), contacts)
 
 
 def _reach(loose: Sequence[Matches], rig: State) -> float:

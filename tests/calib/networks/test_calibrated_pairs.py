@@ -31,13 +31,14 @@ def test_the_gradient_matches_the_cost() -> None:
     network = made(rng)
     pair = pair_in(network, rng)
     columns = pair.columns(network)
-    _, gradient, information = pair.misfit(network)
+    term = pair.misfit(network)
+    gradient, information = term.gradient, term.information
 
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     for at, column in enumerate(columns.tolist()):
         step = np.zeros(network.size)
         step[column] = 1e-4 / scale[at] if scale[at] > 1e-9 else 1e-6
-        after, before = (pair.misfit(network.moved(sign * step))[0] for sign in (1, -1))
+        after, before = (pair.misfit(network.moved(sign * step)).cost for sign in (1, -1))
         slope = (after - before) / (4 * step[column])
         assert abs(slope - gradient[at]) < 1e-3 * np.abs(gradient / np.maximum(scale, 1)).max() * max(scale[at], 1)
 

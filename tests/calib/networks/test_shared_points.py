@@ -41,14 +41,15 @@ def test_the_gradient_matches_the_cost(along: tuple[bool, ...]) -> None:
         shared = replace(shared, **arrays, along=along)
         assert (shared.freedom == 3 - sum(along)).all()
     columns = shared.columns(network)
-    cost, gradient, information = shared.misfit(network)
+    term = shared.misfit(network)
+    cost, gradient, information = term.cost, term.gradient, term.information
 
     assert 0.7 < cost / shared.freedom.sum() < 1.3
     scale = np.sqrt(np.diag(information))
     for at, column in enumerate(columns):
         step = np.zeros(network.size)
         step[column] = 1e-3 / scale[at]
-        after, before = (shared.misfit(network.moved(sign * step))[0] for sign in (1, -1))
+        after, before = (shared.misfit(network.moved(sign * step)).cost for sign in (1, -1))
         assert (
             abs((after - before) / (4 * step[column]) - gradient[at])
             < (1e-2 if along else 1e-3) * np.abs(gradient / scale).max() * scale[at]

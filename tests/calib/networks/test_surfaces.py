@@ -44,21 +44,20 @@ def test_the_cost_is_that_of_correlated_residuals(estimate: NetworkEstimate, sur
     covariance = SIGMA_PX**2 * np.eye(len(off)) + STEEPNESS**2 * by_wave @ by_wave.T
     expected = off @ np.linalg.solve(covariance, off)
     flat = np.sum(off**2) / SIGMA_PX**2
-    cost = surface.misfit(estimate.network)[0]
+    cost = surface.misfit(estimate.network).cost
     assert 0 < expected < flat
     assert cost == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_gradient_is_that_of_the_cost(estimate: NetworkEstimate, surface: PlaneRelief) -> None:
-    network, columns = estimate.network, surface.columns(estimate.network)
-    _, gradient, information = surface.misfit(network)
-    scale = 1e-3 / np.sqrt(np.diag(information))
+    network, term = estimate.network, surface.misfit(estimate.network)
+    scale = 1e-3 / np.sqrt(np.diag(term.information))
     rng = np.random.default_rng(0)
     for _ in range(10):
         step = np.zeros(network.size)
-        step[columns] = scale * rng.normal(size=len(columns))
-        after, before = (surface.misfit(network.moved(sign * step))[0] for sign in (1, -1))
-        assert (after - before) / 4 == pytest.approx(gradient @ step[columns], rel=1e-3, abs=1e-9)
+        step[term.columns] = scale * rng.normal(size=len(term.columns))
+        after, before = (surface.misfit(network.moved(sign * step)).cost for sign in (1, -1))
+        assert (after - before) / 4 == pytest.approx(term.gradient @ step[term.columns], rel=1e-3, abs=1e-9)
 
 
 def test_heights_are_found(estimate: NetworkEstimate, surface: PlaneRelief) -> None:

@@ -52,8 +52,8 @@ def test_derivatives_of_distances_match_differences(balls: Case) -> None:
 def test_the_gradient_matches_the_misfit(balls: Case) -> None:
     contact = contacts_of(balls)[0]
     columns = contact.columns(balls.start).tolist()
-    _, gradient, _ = contact.misfit(balls.start)
-    numeric = gradient_of(lambda room: np.array(contact.misfit(room)[0]), balls.start, columns) / 2
+    gradient = contact.misfit(balls.start).gradient
+    numeric = gradient_of(lambda room: np.array(contact.misfit(room).cost), balls.start, columns) / 2
     assert np.allclose(gradient, numeric, atol=1e-4 * np.abs(numeric).max())
 
 

@@ -139,8 +139,7 @@ def test_stations_and_planes_without_cells_are_reported_as_unknown(case: Case) -
 def test_an_observation_of_another_plane_gets_its_own_plane(case: Case) -> None:
     """One station takes a box 4 cm in front of the wall for the wall."""
     found, truth = case.found, case.truth
-    free = np.nan_to_num(np.diag(found.covariance)) > 0
-    _, freedom = association_scores(found.patches, found.fit, found.levels.variances(found.patches), free)
+    _, freedom = association_scores(found.problem, found.fit)
     tied = [each for each, ties in zip(found.patches, freedom, strict=True) if ties == 3 and each.station > 0]
     patch = max(tied, key=lambda each: len(each.cells))
     station, plane = patch.station, patch.plane

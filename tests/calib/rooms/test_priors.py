@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calib.estimation import evaluate
+from calib.estimation import Problem, add_up
 from calib.refinement import ORDINARY_LENSES, ROTATION, SHARED, Knowledge, KnownRig
 from calib.rooms import RigPrior, Room
 from calib.rooms.factors import patches_of
@@ -22,9 +22,10 @@ def test_the_gradient_matches_the_cost(case: Case) -> None:
     variances = [np.full(len(patch.cells), 1e4) for patch in patches]  # no cell is beyond Huber's threshold
     room = case.start
     some = [*range(SHARED), *range(SHARED + 6, room.size, 5)]
-    fit = evaluate(patches, room, prior, variances)
+    problem = Problem(patches, variances, prior, np.ones(room.size, np.bool_))
+    fit = problem.evaluate(room)
     exact, scale = fit.gradient[some], np.sqrt(np.diag(fit.information))[some]
-    numeric = gradient_of(lambda each: np.array(evaluate(patches, each, prior, variances).cost), room, some) / 2
+    numeric = gradient_of(lambda each: np.array(problem.evaluate(each).cost), room, some) / 2
     assert np.max(np.abs(exact - numeric) / scale) < 1e-3 * np.max(np.abs(exact) / scale)
 
 
@@ -32,11 +33,10 @@ def test_a_prior_costs_nothing_at_its_mean_and_one_at_a_sigma(case: Case) -> Non
     least = KnownRig(case.truth.rig, np.zeros((SHARED, SHARED))).safe_covariance
     sigma = 30 * np.sqrt(np.diag(least))
     prior = RigPrior.from_calibration(case.truth.rig, np.diag(sigma**2))
-    assert prior.cost(case.truth.rig)[0] == pytest.approx(0.0, abs=1e-12)
+    assert prior.misfit(case.truth.rig).cost == pytest.approx(0.0, abs=1e-12)
     for column in range(SHARED):
-        assert prior.cost(case.truth.rig.moved(sigma * (np.arange(SHARED) == column)))[0] == pytest.approx(
-            1.0, rel=0.01
-        )
+        off = case.truth.rig.moved(sigma * (np.arange(SHARED) == column))
+        assert prior.misfit(off).cost == pytest.approx(1.0, rel=0.01)
 
 
 def test_the_prior_of_a_rig_follows_from_the_corners_knowledge(case: Case) -> None:
@@ -69,7 +69,7 @@ def test_a_patch_behind_the_camera_costs_but_has_no_gradient(case: Case) -> None
     step = np.zeros(case.truth.size)
     step[columns.stop - 1] = 10 * REACH  # the plane is brought behind the camera
     there: Room = case.truth.moved(step)
-    fit = evaluate(patches, there, prior, variances)
-    own = fit.cost - prior.cost(there)[0]
-    assert own == pytest.approx(100.0 * len(patches[0].cells))
-    assert fit.gradient == pytest.approx(prior.cost(there)[1])
+    fit = Problem(patches, variances, prior, np.ones(there.size, np.bool_)).evaluate(there)
+    of_prior = add_up(there.size, prior.terms(there))
+    assert fit.cost - of_prior.cost == pytest.approx(100.0 * len(patches[0].cells))
+    assert fit.gradient == pytest.approx(of_prior.gradient)

@@ -76,8 +76,8 @@ def test_tracks_correct_a_station_shifted_along_a_wall(scene: Scene) -> None:
         found = find_tracks(sights, plane_of, moved)
         own = slice(SHARED + PER_POSE + 3, SHARED + 2 * PER_POSE)  # where the second of a pair is
         sums = [track.misfit(moved) for track in found]
-        hessian = np.sum([each[2][own, own] for each in sums], axis=0)
-        moved = shifted(moved, -np.linalg.solve(hessian, np.sum([each[1][own] for each in sums], axis=0)))
+        hessian = np.sum([each.information[own, own] for each in sums], axis=0)
+        moved = shifted(moved, -np.linalg.solve(hessian, np.sum([each.gradient[own] for each in sums], axis=0)))
     left = np.linalg.norm(moved.places[1].translation - room.places[1].translation)
     assert 1e-6 < left < 0.002
 

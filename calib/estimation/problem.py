@@ -1,0 +1,224 @@
+"""Problems of maximum likelihood: unknowns in columns, terms of the cost with derivatives, and the likeliest unknowns.
+
+The unknowns are a layout, such as the devices, places and planes of a room. Matches, what ties devices otherwise, and
+priors each add terms to the cost, with derivatives by a few of the layout's columns; their sums are the normal
+equations. Cells of matches deviate in pixels under Huber's loss, as in `calib.refinement.likelihood`.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import Field, dataclass
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+
+import numpy as np
+
+from calib.geometry import PER_PLANE, Plane, tangent_basis
+from calib.numerics import Bools, Damping, Floats, Ints, Quadratic, descend, huber_loss, huber_weights
+from calib.refinement import ROBUST_SIGMAS, Cells, covariance_of, misfit
+
+CONVERGED = 1e-4  # in cost: a hundredth of a sigma
+_STEPS = 60
+_DAMPING = Damping(first=1e-6, least=1e-13, most=1e4, growth=10.0, relief=0.05, by_gain=True)
+PLANE = slice(-PER_PLANE, None)  # within a part's own columns
+_BEHIND = 100.0  # as for a deviation of ten sigmas
+
+
+class Layout(Protocol):
+    """What is unknown. Steps are (size,)."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+
+    def moved(self, step: Floats) -> Self:
+        """After a step."""
+
+
+class PlaneLayout(Layout, Protocol):
+    """Devices, where they stand, and planes: a `Room`, or a network."""
+
+    @property
+    def planes(self) -> tuple[Plane, ...]:
+        """All planes."""
+
+    def plane_columns(self, plane: int) -> slice:
+        """Columns of a plane: two tilts and the offset."""
+
+
+AnyLayout = TypeVar("AnyLayout", bound=Layout)
+AnyPlanes = TypeVar("AnyPlanes", bound=PlaneLayout)
+LayoutT = TypeVar("LayoutT", bound=Layout, contravariant=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Term(Quadratic):
+    """What is added to the cost; its gradient (Q,) and information (Q, Q) are by a few of a layout's columns."""
+
+    columns: Ints
+    """(Q,): those that it depends on."""
+
+    @classmethod
+    def gaussian(cls, columns: Ints, deviations: Floats, slopes: Floats) -> "Term":
+        """Of deviations (N,) in sigmas, with their derivatives (N, Q)."""
+        return cls(float(deviations @ deviations), slopes.T @ deviations, slopes.T @ slopes, columns)
+
+    @classmethod
+    def robust(
+        cls, columns: Ints, residuals: Floats, jacobian: Floats, limit: Floats | float = ROBUST_SIGMAS
+    ) -> "Term":
+        """Of residuals (N, D) in sigmas, with their derivatives (N, D, Q), under Huber's loss beyond a `limit`."""
+        size = np.linalg.norm(residuals, axis=1)
+        root = np.sqrt(huber_weights(size, limit))
+        rows = (jacobian * root[:, None, None]).reshape(-1, jacobian.shape[2])
+        off = (residuals * root[:, None]).ravel()
+        return cls(float(np.sum(huber_loss(size, limit))), rows.T @ off, rows.T @ rows, columns)
+
+
+def add_up(size: int, terms: Iterable[Term]) -> Quadratic:
+    """The sum of terms, with the derivatives by all columns of a layout of this size."""
+    cost, gradient, information = 0.0, np.zeros(size), np.zeros((size, size))
+    for term in terms:
+        cost += term.cost
+        gradient[term.columns] += term.gradient
+        information[np.ix_(term.columns, term.columns)] += term.information
+    return Quadratic(cost, gradient, information)
+
+
+class Part(Protocol[LayoutT]):
+    """Cells of matches that a layout predicts.
+
+    Derivatives are by P own columns, or by the layout's `columns` (Q,), with `carried` (P, Q) the derivatives of the
+    own ones by them.
+    """
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    @property
+    def cells(self) -> Cells:
+        """Means of matches, (M,)."""
+
+    def predict(self, layout: LayoutT, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+        """Projector pixels (N, 2) of its cells, or of `camera_px`, their Jacobian (N, 2, P), and depths (N, 2).
+
+        Depths are those before both devices, not positive where the prediction means nothing.
+        """
+
+    def columns(self, layout: LayoutT) -> Ints:
+        """The layout's columns that it depends on, (Q,)."""
+
+    def carried(self, layout: LayoutT) -> Floats:
+        """How its own columns follow those, (P, Q)."""
+
+
+class PlanePart(Part[LayoutT], Protocol[LayoutT]):
+    """The cells of one `plane`, by number in the layout, that one `capture` shows.
+
+    The last three own columns are tilts and offset of the plane in the camera's frame.
+    """
+
+    @property
+    def capture(self) -> int:
+        """Number of the station, or of the pair of camera and projector."""
+
+    @property
+    def plane(self) -> int:
+        """Number of the plane."""
+
+    def points(self, layout: LayoutT) -> Floats:
+        """Where the rays of its cells meet the plane, (M, 3) in the layout's frame."""
+
+
+PartT = TypeVar("PartT", bound=Part[Any], covariant=True)
+AnyPlanePart = TypeVar("AnyPlanePart", bound=PlanePart[Any])
+
+
+class Joint(Protocol[LayoutT]):
+    """What ties devices or stations other than by cells."""
+
+    def misfit(self, layout: LayoutT) -> Term:
+        """What it adds to the cost."""
+
+
+class Prior(Protocol[LayoutT]):
+    """What is known before any match is seen."""
+
+    def terms(self, layout: LayoutT) -> Iterable[Term]:
+        """What it adds to the cost."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(Quadratic, Generic[AnyLayout]):
+    """A layout with its cost."""
+
+    layout: AnyLayout
+    residuals: tuple[Floats, ...]
+    """(M, 2) of each part, in pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem(Generic[AnyLayout, PartT]):
+    """What tells of a layout."""
+
+    parts: Sequence[PartT]
+    """Cells of matches."""
+    variances: Sequence[Floats]
+    """(M,) for each part, of each coordinate of each cell."""
+    prior: Prior[AnyLayout]
+    """Of the layout."""
+    free: Bools
+    """(size,): the columns that are estimated."""
+    joints: Sequence[Joint[AnyLayout]] = ()
+    """What else ties it."""
+    behind: float = _BEHIND
+    """Cost of each cell of a part that has many behind a device. It has no gradient."""
+    damping: Damping = _DAMPING
+    """Of the descent."""
+
+    def evaluate(self, layout: AnyLayout) -> Fit[AnyLayout]:
+        """The cost of a layout with its derivatives."""
+        misfits = [self._misfit(*cells, layout) for cells in zip(self.parts, self.variances, strict=True)]
+        joints = (joint.misfit(layout) for joint in self.joints)
+        total = add_up(layout.size, (*self.prior.terms(layout), *(term for term, _ in misfits), *joints))
+        residuals = tuple(residual for _, residual in misfits)
+        return Fit(total.cost, total.gradient, total.information, layout, residuals)
+
+    def minimise(self, layout: AnyLayout, *, tolerance: float = CONVERGED, steps: int = _STEPS) -> Fit[AnyLayout]:
+        """The nearest minimum over the free columns, by Levenberg and Marquardt.
+
+        Ends when a further step promises to lower the cost by less than `tolerance`.
+        """
+        return descend(
+            self.evaluate(layout),
+            lambda fit, step: self.evaluate(fit.layout.moved(step)),
+            lambda _, decrement: decrement < tolerance,
+            self.damping,
+            steps,
+            free=np.flatnonzero(self.free),
+        )
+
+    def covariance(self, fit: Quadratic) -> Floats:
+        """The covariance (size, size) by a fit's curvature; zero where a column is held."""
+        return covariance_of(fit.information, self.free)
+
+    def _misfit(self, part: Part[AnyLayout], variance: Floats, layout: AnyLayout) -> tuple[Term, Floats]:
+        """What a part adds to the cost, and its residuals (M, 2)."""
+        predicted, jacobian, depths = part.predict(layout)
+        residual, observed_px = np.empty_like(predicted), np.ascontiguousarray(part.cells.projector_px)
+        own = np.arange(jacobian.shape[2], dtype=np.int32)
+        slope, curvature = np.zeros(len(own)), np.zeros((len(own), len(own)))
+        cost = misfit(predicted, observed_px, jacobian, depths, variance, own, residual, slope, curvature)
+        if not np.isfinite(cost):
+            cost, slope, curvature = self.behind * len(observed_px), np.zeros_like(slope), np.zeros_like(curvature)
+        carried = part.carried(layout)
+        return Term(cost, carried.T @ slope, carried.T @ curvature @ carried, part.columns(layout)), residual
+
+
+def squareness(layout: PlaneLayout, pairs: Sequence[tuple[int, int]], sigma: float) -> Iterator[Term]:
+    """Pairs of planes that are perpendicular but for a standard deviation, in radians."""
+    for pair in pairs:
+        normals = [layout.planes[plane].normal for plane in pair]
+        columns = [np.r_[layout.plane_columns(plane)][:2] for plane in pair]
+        slopes = [tangent_basis(own).T @ other for own, other in zip(normals, normals[::-1], strict=True)]
+        off = np.array([normals[0] @ normals[1]]) / sigma
+        yield Term.gaussian(np.concatenate(columns), off, np.concatenate(slopes)[None] / sigma)
