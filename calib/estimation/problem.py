@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.geometry import PER_PLANE, Plane, tangent_basis
 from calib.numerics import Bools, Damping, Floats, Ints, Quadratic, descend, huber_loss, huber_weights
-from calib.refinement import ROBUST_SIGMAS, Cells, covariance_of, misfit
+from calib.refinement import ROBUST_SIGMAS, Cells, ColumnPrior, covariance_of, misfit
 
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
 _STEPS = 60
@@ -62,6 +62,12 @@ class Term(Quadratic):
     def gaussian(cls, columns: Ints, deviations: Floats, slopes: Floats) -> "Term":
         """Of deviations (N,) in sigmas, with their derivatives (N, Q)."""
         return cls(float(deviations @ deviations), slopes.T @ deviations, slopes.T @ slopes, columns)
+
+    @classmethod
+    def of_prior(cls, prior: ColumnPrior, values: Floats) -> "Term":
+        """Of a layout's first columns, with these values, under a prior on each."""
+        cost, gradient, curvature = prior.misfit(values)
+        return cls(float(cost.sum()), gradient, np.diag(curvature), np.arange(len(values)))
 
     @classmethod
     def robust(

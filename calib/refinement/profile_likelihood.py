@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.numerics import Bools, Floats
+from calib.numerics import Bools, Floats, Ints
 from calib.refinement.likelihood import Fit, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, State
@@ -173,7 +173,7 @@ def log_volume_across(fit: Fit, best: State, prior: Prior) -> float:
     return float(-(log_determinant + np.sum(grown_cost - cost)) / 2)
 
 
-def covariance_of(information: Floats, free: Bools) -> Floats:
+def covariance_of(information: Floats, free: Bools | Ints) -> Floats:
     """Invert the information on the free columns, (size, size); zero elsewhere."""
     covariance = np.zeros_like(information)
     chosen = np.ix_(free, free)

@@ -18,10 +18,10 @@ from calib.refinement import (
     intrinsic_distance,
 )
 from calib.refusal import RefusalError
-from calib.scene.bundle import SceneFit
+from calib.scene.adjustment import FEWEST_POINTS, FEWEST_STATIONS, GUESS, MATCHES, refine, sharpen, solve
 from calib.scene.covariance import covariance_of_rig
 from calib.scene.next_station import NextStation, best_next_station
-from calib.scene.problem import FEWEST_POINTS, FEWEST_STATIONS, MATCHES, SceneProblem, sharpened
+from calib.scene.problem import SceneFit, SceneProblem
 from calib.scene.refusals import (
     AMBIGUOUS,
     NO_COMMON_POINTS,
@@ -213,7 +213,7 @@ def _from_placed(
     rig = knowledge.holding(rig)
     scene = RigidScene(rig, tuple(poses.values()), np.zeros((0, 3)))
     matches = some_matches([views[k].matches for k in poses], MATCHES // len(poses))
-    problem = SceneProblem(scene, NOTHING_OBSERVED, matches, knowledge.prior(rig))
+    problem = SceneProblem(NOTHING_OBSERVED, matches, knowledge.prior(rig), GUESS)
     return _calibrated(problem, scene, [*poses], views, knowledge, provisional=provisional)
 
 
@@ -231,7 +231,7 @@ def _calibrated(
     nothing else is wrong.
     """
     is_rough = provisional and len(places) < len(views)
-    sharp = sharpened(problem, scene, [views[k] for k in places], roughly=is_rough)
+    sharp = sharpen(problem, scene, [views[k] for k in places], roughly=is_rough)
     if sharp is None:
         raise nothing_common(len(scene.points), len(places), len(views))
     stations = tuple(places[k] for k in sharp.members)
@@ -296,8 +296,8 @@ def _problem(
     views: Sequence[SceneView],
     pairs: Mapping[tuple[int, int], tuple[Ints, Ints]],
     knowledge: Knowledge,
-) -> tuple[SceneProblem, tuple[int, ...]] | None:
-    """The problem of a start with its stations; None if it connects too few stations or points."""
+) -> tuple[SceneProblem, RigidScene, tuple[int, ...]] | None:
+    """The problem of a start with its scene and stations; None if it connects too few stations or points."""
     moving = with_motions(start, views, pairs)
     agreeing = {pair: (pose, float(np.count_nonzero(near))) for pair, (pose, near) in moving.motions.items()}
     places = placed_stations(agreeing, len(views))
@@ -308,7 +308,7 @@ def _problem(
         return None
     matches = some_matches([views[k].matches for k in places], MATCHES // len(places))
     scene = RigidScene(start.rig, tuple(places.values()), points)
-    return SceneProblem(scene, observations, matches, knowledge.prior(start.rig)), tuple(places)
+    return SceneProblem(observations, matches, knowledge.prior(start.rig), GUESS), scene, tuple(places)
 
 
 def _follow(
@@ -326,8 +326,8 @@ def _follow(
         begun = _problem(start, views, pairs, knowledge)
         if begun is None:
             break
-        problem, places = begun
-        problem, fit = problem.refined(problem.solve())
+        problem, scene, places = begun
+        problem, fit = refine(problem, solve(problem, scene))
         if len(fit.scene.points) < FEWEST_POINTS:
             break
         start = with_motions(replace(start, rig=fit.scene.rig), views, pairs)

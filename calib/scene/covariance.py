@@ -8,11 +8,9 @@ covariance is the mean of both, for sums over places vary.
 
 import numpy as np
 
-from calib.numerics import Floats, Ints, huber_weights
+from calib.numerics import Floats, Ints
 from calib.refinement import SHARED
-from calib.scene.bundle import SceneFit, evaluate_after
-from calib.scene.problem import SceneProblem
-from calib.scene.residuals import HUBER_SIGMAS, missed_at_stations, residuals_of
+from calib.scene.problem import SceneFit, SceneProblem
 
 _FOLLOWING = 1 / 2, 3 / 8  # terms of (1 - h)^(-1/2) - 1
 _WEAKEST = 6  # directions along which the curvature is measured: two hold most of the difference
@@ -23,7 +21,7 @@ def covariance_of_rig(problem: SceneProblem, fit: SceneFit) -> Floats:
     """The covariance (21, 21) of the rig's columns at a problem's solution; 0 where a column is held."""
     free = fit.scene.columns.free(problem.prior)
     among_free = np.ix_(free, free)
-    approximate = problem.inverted(fit)
+    approximate = problem.covariance(fit)
     scatter = _scatter(problem, fit, approximate)[among_free]
     inverse = _inverse_curvature(problem, fit, free)
     shared = max(1.0, float(np.trace(scatter @ approximate[among_free])) / len(free))
@@ -40,15 +38,14 @@ def _scatter(problem: SceneProblem, fit: SceneFit, inverse: Floats) -> Floats:
     samples", 2002), by a series for the root in it.
     """
     scene, observations = fit.scene, problem.observations
-    residuals, place = residuals_of(scene, observations, problem.spread), scene.places
+    residuals, place = problem.residuals(scene), scene.places
     term = _summed(residuals.scores(observations), place)
     by_place = term.copy()
     for coefficient in _FOLLOWING:
         changes = residuals.changes(observations, (term @ inverse)[place])
         term = _summed(residuals.pulls(observations, changes), place)
         by_place += coefficient * term
-    miss, by_columns = missed_at_stations(scene, problem.matches, problem.spread)
-    by_match = by_columns * (huber_weights(np.abs(miss), HUBER_SIGMAS) * miss)[:, None]
+    by_match = problem.scores_of_matches(scene)
     scatter = by_place.T @ by_place + by_match.T @ by_match
     scatter[range(SHARED), range(SHARED)] += problem.prior.root_precision[:SHARED] ** 2
     if scene.shift_px is not None:
@@ -72,10 +69,7 @@ def _inverse_curvature(problem: SceneProblem, fit: SceneFit, free: Ints) -> Floa
     for k in range(min(_WEAKEST, len(free))):
         step = np.zeros(fit.scene.size)
         step[free] = directions[:, k]
-        ahead, behind = (
-            evaluate_after(fit, sign * step, problem.observations, problem.matches, problem.spread, problem.prior)
-            for sign in (1, -1)
-        )
+        ahead, behind = (problem.evaluate_after(fit, sign * step) for sign in (1, -1))
         slopes = directions.T @ (ahead.gradient - behind.gradient)[free] / 2
         if np.isfinite(slopes).all():
             relative[k] = relative[:, k] = slopes

@@ -10,11 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
-from calib.numerics import Floats, clustered_scatter, huber_weights
-from calib.refinement import Prior, inverse_of
-from calib.scene.bundle import SceneFit, evaluate
-from calib.scene.residuals import HUBER_SIGMAS, missed_at_stations, residuals_of
-from calib.scene.rigid_scene import ErrorScales, RigidScene, SceneObservations, StationMatches
+from calib.numerics import Floats, clustered_scatter
+from calib.refinement import inverse_of
+from calib.scene.problem import SceneProblem
+from calib.scene.rigid_scene import RigidScene
 
 DRIFTED = FindingKind(
     "picture-drifts",
@@ -27,17 +26,15 @@ _TOLD_PX = 0.1
 _LEAST_SHARE = 1e-4  # of the best determined shift, of one that is undetermined
 
 
-def measure_drift(
-    scene: RigidScene, observations: SceneObservations, matches: StationMatches, spread: ErrorScales, prior: Prior
-) -> float:
+def measure_drift(problem: SceneProblem, scene: RigidScene) -> float:
     """Standard deviation of the shifts of projector pictures near an adjusted scene, in pixels; 0 if they may be
     chance.
     """
-    scene, spread = scene.with_shifts(), replace(spread, drift_px=np.inf)
+    scene, problem = scene.with_shifts(), replace(problem, spread=replace(problem.spread, drift_px=np.inf))
     assert scene.shift_px is not None
-    fit = evaluate(scene, observations, matches, spread, prior)
+    fit = problem.evaluate(scene)
     shifts = scene.columns.of_shifts.ravel()
-    others = np.setdiff1d(scene.columns.free(prior), shifts)
+    others = np.setdiff1d(scene.columns.free(problem.prior), shifts)
     following = inverse_of(fit.information[np.ix_(others, others)]) @ fit.information[np.ix_(others, shifts)]
     left = fit.information[np.ix_(shifts, shifts)] - fit.information[np.ix_(shifts, others)] @ following
     own = np.zeros((scene.size, len(shifts)))
@@ -45,7 +42,7 @@ def measure_drift(
     pull = left @ scene.shift_px.ravel() - fit.gradient @ own
     inverse = np.linalg.pinv(left, rcond=_LEAST_SHARE, hermitian=True)
     gain = float(pull @ inverse @ pull)
-    by_chance = float(np.trace(inverse @ _scatter(fit, own, observations, matches, spread)))
+    by_chance = float(np.trace(inverse @ _scatter(problem, scene, own)))
     return float(np.sqrt(max(gain - by_chance, 0.0) / max(float(np.trace(left)), 1e-300)))
 
 
@@ -57,11 +54,8 @@ def drift_findings(drift_px: float) -> tuple[Finding, ...]:
     return (Finding(DRIFTED, Severity.WARNING, message, DRIFTED.remedy, {"drift_px": drift_px}),)
 
 
-def _scatter(
-    fit: SceneFit, own: Floats, observations: SceneObservations, matches: StationMatches, spread: ErrorScales
-) -> Floats:
+def _scatter(problem: SceneProblem, scene: RigidScene, own: Floats) -> Floats:
     """The scatter (K, K) of the gradient along directions `own` (size, K) of the columns."""
-    scores = residuals_of(fit.scene, observations, spread).scores(observations) @ own
-    miss, by_columns = missed_at_stations(fit.scene, matches, spread)
-    by_match = (by_columns @ own) * (huber_weights(np.abs(miss), HUBER_SIGMAS) * miss)[:, None]
-    return clustered_scatter(scores, fit.scene.places) + by_match.T @ by_match
+    scores = problem.residuals(scene).scores(problem.observations) @ own
+    by_match = problem.scores_of_matches(scene) @ own
+    return clustered_scatter(scores, scene.places) + by_match.T @ by_match

@@ -6,8 +6,8 @@ import numpy as np
 
 from calib.geometry import Calibration, Intrinsics, Matches
 from calib.numerics import Floats, Ints, clustered_scatter, huber_loss, huber_weights, robust_sigma
-from calib.refinement import SHARED, State, device_of
-from calib.scene.residuals import HUBER_SIGMAS, missed
+from calib.refinement import ROBUST_SIGMAS, SHARED, State, device_of
+from calib.scene.residuals import missed
 
 _STEPS, _CONVERGED = 12, 1e-3  # sigmas
 _HALVINGS = 6  # of a step that makes it worse
@@ -44,7 +44,7 @@ def rig_by_lines(given: State, matches: Matches) -> RigByLines:
     scales = [max(robust_sigma(miss), 1e-3)]
     for _ in range(_STEPS):
         scale = scales[-1]
-        weight = huber_weights(np.abs(miss) / scale, HUBER_SIGMAS)
+        weight = huber_weights(np.abs(miss) / scale, ROBUST_SIGMAS)
         normal = (by_shared * weight[:, None]).T @ by_shared / scale**2 + np.diag(precision)
         step = -_solved(normal, by_shared.T @ (weight * miss) / scale**2 + precision * moved)
         cost = _cost(miss, scale, moved)
@@ -59,7 +59,7 @@ def rig_by_lines(given: State, matches: Matches) -> RigByLines:
         scales.append(max(robust_sigma(miss), 1e-3))
         if float(step @ normal @ step) < _CONVERGED**2:
             break
-    weight = huber_weights(np.abs(miss) / scales[-1], HUBER_SIGMAS)
+    weight = huber_weights(np.abs(miss) / scales[-1], ROBUST_SIGMAS)
     miss, by_shared = miss / scales[-1], by_shared / scales[-1]
     normal = (by_shared * weight[:, None]).T @ by_shared + np.diag(precision)
     # The valley of what lines do not tell is curved: how far the given rig is off is judged by the slope at it.
@@ -80,7 +80,7 @@ def rig_by_lines(given: State, matches: Matches) -> RigByLines:
 
 def _cost(miss: Floats, scale: float, moved: Floats) -> float:
     """Of misses (L,) with this standard deviation, and of a rig's step (21,) from the given one."""
-    return float(huber_loss(np.abs(miss) / scale, HUBER_SIGMAS).sum() + np.sum((moved / _LOOSE) ** 2))
+    return float(huber_loss(np.abs(miss) / scale, ROBUST_SIGMAS).sum() + np.sum((moved / _LOOSE) ** 2))
 
 
 def in_square_pixels(calibration: Calibration, matches: Matches) -> tuple[State, Matches]:

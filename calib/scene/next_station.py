@@ -5,7 +5,7 @@ the adjustment without an error, and the covariances compared (D-optimality; Atk
 designs", 1992).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,9 +13,9 @@ from calib.geometry import Pose, rotation_about
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR
+from calib.scene.adjustment import FEWEST_POINTS
 from calib.scene.alignment import is_recognisable, surface_at
-from calib.scene.bundle import SceneFit, evaluate
-from calib.scene.problem import FEWEST_POINTS, SceneProblem
+from calib.scene.problem import SceneFit, SceneProblem
 from calib.scene.rigid_scene import ANYWHERE_PX, SceneObservations
 
 TURN_DEG = 20.0
@@ -45,7 +45,7 @@ def best_next_station(problem: SceneProblem, fit: SceneFit, covariance: Floats) 
     """
     best, least = None, np.inf
     focal = [CAMERA.start, PROJECTOR.start]
-    larger = np.sqrt(np.diag(covariance)[focal] / np.diag(problem.inverted(fit))[focal])
+    larger = np.sqrt(np.diag(covariance)[focal] / np.diag(problem.covariance(fit))[focal])
     scene, newest = fit.scene, fit.scene.stations[-1]
     middle = np.median(newest @ scene.points, axis=0)
     for axis in range(3):
@@ -55,8 +55,8 @@ def best_next_station(problem: SceneProblem, fit: SceneFit, covariance: Floats) 
             seen = _predicted(problem, fit, turned)
             if np.count_nonzero(seen.station == len(scene.stations)) < FEWEST_POINTS:
                 continue
-            predicted = evaluate(scene.with_station(turned), seen, problem.matches, problem.spread, problem.prior)
-            after = problem.inverted(predicted)
+            predicted = replace(problem, observations=seen).evaluate(scene.with_station(turned))
+            after = problem.covariance(predicted)
             spread = float(np.linalg.slogdet(after[np.ix_(_INTRINSIC, _INTRINSIC)])[1])
             if spread < least:
                 camera, projector = (larger * np.sqrt(np.diag(after)[focal])).tolist()

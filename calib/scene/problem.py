@@ -1,169 +1,121 @@
-"""What is adjusted for a calibration without a corner: a scene with its observations, their spread, and outliers."""
+"""What is adjusted for a calibration without a corner: bundle adjustment of an unchanged rig over stations of a rigid
+scene, its devices, relative pose, stations and points.
 
-from collections.abc import Sequence
+Points are eliminated from the normal equations (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section
+6.1).
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.numerics import MEDIAN_LENGTH, Bools, Floats, robust_sigma
-from calib.refinement import Prior, inverse_of
-from calib.scene.alignment import align
-from calib.scene.bundle import CONVERGED, SceneFit, adjust
-from calib.scene.drift import measure_drift
-from calib.scene.residuals import residuals_of
+from calib.estimation import Term, add_up
+from calib.numerics import NIELSEN, Floats, Quadratic, descend, huber_loss, huber_weights
+from calib.refinement import ROBUST_SIGMAS, Prior, covariance_of
+from calib.scene.residuals import Residuals, missed_at_stations, residuals_of
 from calib.scene.rigid_scene import ErrorScales, RigidScene, SceneObservations, StationMatches
-from calib.scene.views import MatchedView, some_matches
 
-FEWEST_STATIONS, FEWEST_POINTS = 3, 20
-MATCHES = 3600  # of all stations, beside points that they share
-_ANNEALING, _STEPS = (20.0, 5.0, 1.0), 20  # factors on the first guess of the spread, steps with each
-_GUESS = ErrorScales(0.5, 1.0, 1.0)
-_SHARPENED = _ANNEALING, (1.0,)  # each time that pictures and surfaces are aligned
-_ROUNDS = 3  # of measuring the spread
-_ROUGHLY = 1e-4  # convergence before the last of them
-_LEAST_SHARE = 0.5  # of the usual share of observations that are no outliers, of a station in its place
-_LEAST_FREEDOM = 0.2  # of an observation, by which its residual is judged
-_OUTLYING = 4.0  # sigmas, of an observation that is left out
+_STEPS, CONVERGED = 40, 1e-7
+_POINT_STEPS = 2  # of points alone, after each step of the columns
+# A rig that stations hardly determine has a valley whose curvature is a millionth of the walls'.
+_DAMPING = replace(NIELSEN, first=1e-7, least=1e-13)
+_BEHIND = 1e4  # cost of an observation behind a device
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFit(Quadratic):
+    """A scene with its cost; `gradient` and `information` are those without points.
+
+    `residual` (M, 4) of observations and `miss_px` (L,) of matches from their epipolar lines, both in sigmas.
+    """
+
+    scene: RigidScene
+    residual: Floats
+    miss: Floats
+    by_points: tuple[Floats, Floats]
+    """To solve for points: their own step (N, 3), and what a step of the columns changes of it (N, 3, size)."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneProblem:
-    """What is adjusted."""
+    """What tells of a scene."""
 
-    start: RigidScene
-    """Where the adjustment begins."""
     observations: SceneObservations
-    """Of points of the scene."""
+    """Of its points."""
     matches: StationMatches
     """Others, which must lie on their epipolar lines."""
     prior: Prior
     """Of the rig."""
-    spread: ErrorScales = _GUESS
+    spread: ErrorScales
     """Of observations and matches."""
 
-    def solve(self, factors: Sequence[float] = _ANNEALING) -> SceneFit:
-        """The most likely scene near the start, from a wide spread to the guessed one."""
-        scene = self.start
-        for factor in factors:
-            fit = adjust(
-                scene,
-                self.observations,
-                self.matches,
-                self.spread.times(factor),
-                self.prior,
-                steps=_STEPS,
-                converged=_ROUGHLY,
-            )
-            scene = fit.scene
-        return fit
+    def evaluate(self, scene: RigidScene) -> SceneFit:
+        """The cost of a scene with its derivatives, points eliminated."""
+        residuals, (miss, by_columns) = self.residuals(scene), missed_at_stations(scene, self.matches, self.spread)
+        of_points, by_points = self._without_points(residuals)
+        of_lines = Term.robust(np.arange(scene.size), miss[:, None], by_columns[:, None])
+        total = add_up(scene.size, (*self._known(scene), of_points, of_lines))
+        cost = total.cost if np.isfinite(total.cost) else np.inf
+        return SceneFit(cost, total.gradient, total.information, scene, residuals.values, miss, by_points)
 
-    def refined(self, fit: SceneFit, *, drifting: bool = False) -> "tuple[SceneProblem, SceneFit]":
-        """The problem without outliers and with the spread that residuals show, and its solution.
+    def evaluate_after(self, fit: SceneFit, step: Floats) -> SceneFit:
+        """The fit after a step of the columns (size,), with points where their rays meet."""
+        own, by_step = fit.by_points
+        return self.evaluate(self._intersected(fit.scene.moved(step, -own - by_step @ step)))
 
-        `drifting`: shifts of projector pictures are estimated where residuals show some.
-        """
-        problem = self
-        for number in range(1, _ROUNDS + 1):
-            growth, of_matches = problem._growth(fit), robust_sigma(fit.miss)
-            within = (np.abs(fit.residual.reshape(-1, 2, 2)).max(axis=2) < _OUTLYING * growth).all(axis=1)
-            problem = replace(problem, spread=problem.spread.grown(growth, of_matches))
-            problem, scene = problem._of(within, fit.scene)
-            if not len(scene.points):
-                return problem, replace(fit, scene=scene)
-            if drifting:
-                problem, scene = problem._with_drift(scene)
-            converged = CONVERGED if number == _ROUNDS else _ROUGHLY
-            fit = adjust(
-                scene, problem.observations, problem.matches, problem.spread, problem.prior, converged=converged
-            )
-        return problem, fit
-
-    def inverted(self, fit: SceneFit) -> Floats:
-        """The covariance (size, size) by a fit's information; zero where a column is held."""
-        information, free = fit.information, fit.scene.columns.free(self.prior)
-        covariance = np.zeros_like(information)
-        covariance[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
-        return covariance
-
-    def _with_drift(self, scene: RigidScene) -> "tuple[SceneProblem, RigidScene]":
-        """The problem and a scene near its solution with shifts of projector pictures, if there are any."""
-        drift_px = measure_drift(scene, self.observations, self.matches, self.spread, self.prior)
-        changed = replace(self, spread=replace(self.spread, drift_px=drift_px))
-        return changed, scene.with_shifts() if drift_px > 0 else replace(scene, shift_px=None)
-
-    def _growth(self, fit: SceneFit) -> Floats:
-        """Sigmas (2,) of keypoints and of their projector pixels in the units of a fit's residuals.
-
-        A point follows both, in its own way: each is given the degrees of freedom that it has left.
-        """
-        left = residuals_of(fit.scene, self.observations, self.spread).freedom(self.observations)
-        length = np.linalg.norm(fit.residual.reshape(-1, 2, 2), axis=2) / np.sqrt(np.maximum(left, _LEAST_FREEDOM) / 2)
-        located = self.observations.is_located
-        of_keypoints = np.median(length[located, 0]) if located.any() else MEDIAN_LENGTH  # those of surfaces have none
-        medians = np.array([of_keypoints, np.median(length[:, 1])])
-        growth: Floats = np.maximum(medians / MEDIAN_LENGTH, 0.1)
-        return growth
-
-    def _of(self, kept: Bools, scene: RigidScene) -> "tuple[SceneProblem, RigidScene]":
-        """The problem of some observations, and the scene of the points that two of them share."""
-        seen = self.observations
-        shared = np.bincount(seen.point[kept], minlength=len(scene.points)) > 1
-        kept = kept & shared[seen.point]
-        number = np.cumsum(shared) - 1
-        chosen = seen[kept]
-        return replace(self, observations=replace(chosen, point=number[chosen.point])), replace(
-            scene, points=scene.points[shared]
+    def adjust(self, scene: RigidScene, *, steps: int = _STEPS, converged: float = CONVERGED) -> SceneFit:
+        """The most likely scene near one, until a step would gain less than `converged` of the cost."""
+        return descend(
+            self.evaluate(scene),
+            self.evaluate_after,
+            lambda cost, decrement: decrement < converged * cost,
+            _DAMPING,
+            steps,
+            free=scene.columns.free(self.prior),
+            least_gain=converged,
         )
 
+    def covariance(self, fit: SceneFit) -> Floats:
+        """The covariance (size, size) by a fit's information; zero where a column is held."""
+        return covariance_of(fit.information, fit.scene.columns.free(self.prior))
 
-@dataclass(frozen=True, eq=False)
-class Sharpened:
-    """The problem of what stations share once they are aligned, with its solution."""
+    def residuals(self, scene: RigidScene) -> Residuals:
+        """Those of observations."""
+        return residuals_of(scene, self.observations, self.spread)
 
-    problem: SceneProblem
-    fit: SceneFit
-    members: tuple[int, ...]
-    """The stations that belong to the scene, by their numbers among those that were given."""
+    def scores_of_matches(self, scene: RigidScene) -> Floats:
+        """Half the gradient (L, size) of each match's part of the cost."""
+        miss, by_columns = missed_at_stations(scene, self.matches, self.spread)
+        return by_columns * (huber_weights(np.abs(miss), ROBUST_SIGMAS) * miss)[:, None]
 
+    def _known(self, scene: RigidScene) -> Iterator[Term]:
+        """What is known before: of the rig, and of shifts of the projector's picture."""
+        yield Term.of_prior(self.prior, scene.rig.additive())
+        if scene.shift_px is not None:
+            shifts, root = scene.columns.of_shifts.ravel(), 1 / self.spread.drift_px
+            yield Term.gaussian(shifts, root * scene.shift_px.ravel(), root * np.eye(len(shifts)))
 
-def sharpened(
-    problem: SceneProblem, scene: RigidScene, views: Sequence[MatchedView], *, roughly: bool = False
-) -> Sharpened | None:
-    """The problem of what the stations of a scene share, seen again under each better scene, but for `roughly`.
+    def _without_points(self, residuals: Residuals) -> tuple[Term, tuple[Floats, Floats]]:
+        """What observations add to the cost if points follow the columns, and how these do, as in `SceneFit`."""
+        size = residuals.columns.size
+        cost = float(huber_loss(residuals.lengths, ROBUST_SIGMAS).sum()) + _BEHIND * residuals.behind
+        pull, curvature = residuals.by_columns(self.observations)
+        own, pull_on_points, mixed = residuals.by_points(self.observations)
+        step = np.asarray(np.linalg.solve(own, pull_on_points[..., None])[..., 0], np.float64)
+        by_step = np.asarray(np.linalg.solve(own, mixed), np.float64)
+        curvature -= mixed.reshape(-1, size).T @ by_step.reshape(-1, size)
+        pull -= mixed.reshape(-1, size).T @ step.ravel()
+        return Term(cost, pull, curvature, np.arange(size)), (step, by_step)
 
-    `views`: of the stations. Those of which little fits, because they were placed wrongly, are left out. None where too
-    little is shared.
-    """
-    members = tuple(range(len(views)))
-    solution, drift_px = None, 0.0
-    for factors in _SHARPENED[:1] if roughly else _SHARPENED:
-        while True:
-            observations, points = align(scene, [views[k] for k in members])
-            if len(members) < FEWEST_STATIONS or len(points) < FEWEST_POINTS:
-                return solution
-            sharper = replace(
-                problem,
-                start=replace(scene, points=points),
-                observations=observations,
-                matches=some_matches([views[k].matches for k in members], MATCHES // len(members)),
-                spread=ErrorScales(1.0, 1.0, problem.spread.matches, drift_px),
-            )
-            sharper, sharp = sharper.refined(sharper.solve(factors), drifting=True)
-            drift_px = sharper.spread.drift_px
-            if len(sharp.scene.points) < FEWEST_POINTS:
-                return solution
-            fitting = _fitting(observations, sharper.observations, len(members))
-            scene = sharp.scene.of_stations(fitting)
-            if len(fitting) == len(members):
-                break
-            members = tuple(members[k] for k in fitting)
-        solution = Sharpened(sharper, sharp, members)
-    return solution
+    def _intersected(self, scene: RigidScene) -> RigidScene:
+        """The scene with its points where their rays meet, to second order.
 
-
-def _fitting(observations: SceneObservations, kept: SceneObservations, stations: int) -> list[int]:
-    """The stations most of whose observations are no outliers."""
-    before, after = (np.bincount(some.station, minlength=stations) for some in (observations, kept))
-    share = after / np.maximum(before, 1)
-    fits = (after >= FEWEST_POINTS) & (share > _LEAST_SHARE * np.median(share))
-    return np.flatnonzero(fits).tolist()
+        A long step of the columns moves points along curves. With points that follow, a step succeeds that would fail
+        with linear predictions (Jeong et al., "Pushing the envelope of modern methods for bundle adjustment", 2012).
+        """
+        for _ in range(_POINT_STEPS):
+            own, pull = self.residuals(scene).of_points(self.observations)
+            step = np.asarray(np.linalg.solve(own, pull[..., None])[..., 0], np.float64)
+            scene = replace(scene, points=scene.points - step)
+        return scene

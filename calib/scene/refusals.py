@@ -9,8 +9,7 @@ from calib.finding import FindingKind
 from calib.geometry import Pose, rotation_vector
 from calib.refinement import CAMERA, PROJECTOR
 from calib.refusal import RefusalError
-from calib.scene.bundle import SceneFit
-from calib.scene.problem import SceneProblem
+from calib.scene.problem import SceneFit, SceneProblem
 
 _ONE_AXIS_DEG = 3.0  # rotations that turn by less about all other axes leave a coordinate open
 _MOST_FOCAL = 0.015  # relative sigma of a focal length

@@ -14,10 +14,9 @@ import numpy as np
 from calib.geometry import Matches, Pose, cross_matrix, depths_of_rays
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Floats, Ints, huber_weights
-from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, State
+from calib.refinement import CAMERA, PROJECTOR, ROBUST_SIGMAS, ROTATION, SHARED, TRANSLATION, State
 from calib.scene.rigid_scene import ErrorScales, RigidScene, SceneColumns, SceneObservations, StationMatches
 
-HUBER_SIGMAS = 3.0  # sigmas
 _ROWS = 4  # of an observation: camera x, y; projector x, y
 
 
@@ -46,7 +45,7 @@ class Residuals:
     @cached_property
     def weight(self) -> Floats:
         """Huber's, (M, 4)."""
-        return np.repeat(huber_weights(self.lengths, HUBER_SIGMAS), 2, axis=1)
+        return np.repeat(huber_weights(self.lengths, ROBUST_SIGMAS), 2, axis=1)
 
     def by_columns(self, observations: SceneObservations) -> tuple[Floats, Floats]:
         """Half the gradient (size,) and half the curvature (size, size) by the columns."""
@@ -200,7 +199,7 @@ def missed(rig: State, matches: Matches, scale: float) -> tuple[Floats, Floats, 
     miss = np.sum(across * (pixels - matches.projector_px), axis=1) / sigma
     by_shared /= sigma[:, None]
     by_shift = across / sigma[:, None]
-    miss[~valid], by_shared[~valid], by_shift[~valid] = 3 * HUBER_SIGMAS, 0.0, 0.0
+    miss[~valid], by_shared[~valid], by_shift[~valid] = 3 * ROBUST_SIGMAS, 0.0, 0.0
     return miss, by_shared, by_shift
 
 

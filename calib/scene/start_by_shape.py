@@ -16,8 +16,8 @@ import numpy as np
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Floats
 from calib.refinement import CAMERA, Knowledge, State, intrinsic_distance, without_lens
-from calib.scene.bundle import SceneFit, adjust
-from calib.scene.problem import FEWEST_POINTS, FEWEST_STATIONS
+from calib.scene.adjustment import FEWEST_POINTS, FEWEST_STATIONS
+from calib.scene.problem import SceneFit, SceneProblem
 from calib.scene.rigid_scene import NOTHING_OBSERVED, ErrorScales, RigidScene, StationMatches
 from calib.scene.start import fundamental_of, relative_pose
 from calib.scene.surfaces import (
@@ -122,7 +122,8 @@ class _Surfaces:
         rig = self.knowledge.holding(rig)
         scene, prior = RigidScene(rig, (IDENTITY,), np.zeros((0, 3))), self.knowledge.prior(rig)
         prior = prior.holding(CAMERA.start)
-        return adjust(scene, NOTHING_OBSERVED, self.matches, _AS_STATED, prior, steps=_LINE_STEPS, converged=_CONVERGED)
+        problem = SceneProblem(NOTHING_OBSERVED, self.matches, prior, _AS_STATED)
+        return problem.adjust(scene, steps=_LINE_STEPS, converged=_CONVERGED)
 
     def placed(self, rig: State, count: int) -> _Placed | None:
         """The first `count` surfaces where they fit each other under a rig; None if too few do."""
@@ -140,16 +141,11 @@ class _Surfaces:
             if len(met.points) < FEWEST_POINTS:
                 break
             lifted = _PER_MEDIAN * met.median_px(within_px) / float(np.median(met.observations.sigma_px))
-            fit = adjust(
-                RigidScene(placed.rig, tuple(placed.poses), met.points),
-                met.observations,
-                self.matches,
-                ErrorScales(1.0, lifted, 1.0),
-                self.knowledge.prior(placed.rig),
-                steps=_STEPS,
-                converged=_CONVERGED,
+            problem = SceneProblem(
+                met.observations, self.matches, self.knowledge.prior(placed.rig), ErrorScales(1.0, lifted, 1.0)
             )
-            scene = fit.scene
+            scene = RigidScene(placed.rig, tuple(placed.poses), met.points)
+            scene = problem.adjust(scene, steps=_STEPS, converged=_CONVERGED).scene
             shapes = shapes_of(scene.rig, [shape.surface for shape in placed.shapes])
             placed = _Placed(scene.rig, shapes, scene.stations, placed.numbers)
         return placed

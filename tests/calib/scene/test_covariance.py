@@ -59,7 +59,7 @@ def test_a_principal_point_is_known_less_well_than_noisy_derivatives_say(found: 
     covariance = covariance_of_rig(found.problem, found.fit)
     np.testing.assert_allclose(covariance, found.uncertainty.covariance, rtol=1e-6, atol=1e-18)
     assert np.linalg.eigvalsh(covariance).min() > -1e-15
-    approximate = found.problem.inverted(found.fit)[:SHARED, :SHARED]
+    approximate = found.problem.covariance(found.fit)[:SHARED, :SHARED]
     ratio = np.sqrt(np.diag(covariance) / np.diag(approximate))
     assert 1.3 < ratio[CAMERA.start + 1] < 4.0
     assert 1.0 < np.median(ratio) < 1.8

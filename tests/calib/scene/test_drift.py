@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from calib.scene import DRIFTED, SceneCalibration, calibrate_scene, drift_findings
-from calib.scene.bundle import evaluate_after
 from calib.self_calibration import PrincipalPoint
 from tests.support.things import PROJECTOR, ThingStation, true_rig, turned_stations
 
@@ -47,12 +46,11 @@ def test_the_rig_is_as_good_as_its_sigmas_say(found: SceneCalibration, stations:
 
 def test_derivatives_by_shifts_are_those_of_the_cost(found: SceneCalibration) -> None:
     problem, scene = found.problem, found.fit.scene
-    given = problem.observations, problem.matches, problem.spread, problem.prior
-    moved = evaluate_after(found.fit, np.zeros(scene.size), *given)
+    moved = problem.evaluate_after(found.fit, np.zeros(scene.size))
     for column in scene.columns.of_shifts.ravel().tolist():
         step = np.zeros(scene.size)
         step[column] = 1e-3
-        ahead, behind = (evaluate_after(moved, sign * step, *given).cost for sign in (1, -1))
+        ahead, behind = (problem.evaluate_after(moved, sign * step).cost for sign in (1, -1))
         bend = (ahead + behind - 2 * moved.cost) / 2e-6
         assert (ahead - behind) / 4e-3 == pytest.approx(moved.gradient[column], abs=2e-4 * abs(bend))
 
