@@ -7,8 +7,7 @@ import numpy as np
 
 from calib.boards import INTRINSIC_COLUMNS, BoardView
 from calib.boards import State as BoardState
-from calib.boards.likelihood import BoardVariances, device_prior
-from calib.boards.likelihood import evaluate as evaluate_boards
+from calib.boards.likelihood import BoardVariances, board_problem, device_prior
 from calib.boards.parameters import PlacedBoard, device_of
 from calib.estimation import Problem
 from calib.geometry import Matches, Plane
@@ -123,8 +122,8 @@ def bound_of_boards(boards: SyntheticBoards, views: list[BoardView]) -> np.ndarr
     prior = prior.knowing(np.concatenate([zero, [1, 10]]))
     per_match = [options.match_px**2 * (view.cells.sigma_px / view.cells.noise_px) ** 2 for view in views]
     levels = BoardVariances(np.full(len(views), options.corner_px**2), tuple(per_match))
-    fit = evaluate_boards(views, state, prior, levels)
-    sigma = np.sqrt(np.diag(covariance_of(fit.information, prior.free(state))))[INTRINSIC_COLUMNS]
+    problem = board_problem(views, prior, levels)
+    sigma = np.sqrt(np.diag(problem.covariance(problem.evaluate(state))))[INTRINSIC_COLUMNS]
     return sigma * np.array([rig.camera.focal_px[0], 1, 1, rig.projector.focal_px[0], 1, 1])
 
 

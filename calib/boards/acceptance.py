@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from calib.boards.estimate import Estimate
-from calib.boards.likelihood import BoardView, Fit, minimise
+from calib.boards.likelihood import BoardFit, BoardView, board_problem
 from calib.boards.parameters import (
     CAMERA,
     FOCAL,
@@ -128,7 +128,7 @@ def no_rig(coverage: BoardCoverage | None) -> RefusalError:
 
 
 def refuse_untrustworthy(
-    found: Estimate, others: Sequence[Fit], coverage: BoardCoverage, sizes: tuple[Size, Size]
+    found: Estimate, others: Sequence[BoardFit], coverage: BoardCoverage, sizes: tuple[Size, Size]
 ) -> None:
     """Raise RefusalError where the boards do not determine both devices, everywhere in their pictures and uniquely."""
     sigma = np.sqrt(found.covariance.diagonal())
@@ -159,7 +159,7 @@ def refuse_untrustworthy(
                 {"ray_sigma_px": worst},
             )
     for other in others:
-        apart = np.abs(other.state.additive() - found.state.additive())[[CAMERA.start, PROJECTOR.start]]
+        apart = np.abs(other.layout.additive() - found.state.additive())[[CAMERA.start, PROJECTOR.start]]
         if other.cost - found.fit.cost < _CLEARLY_WORSE and np.any(apart > 2 * sigma[[CAMERA.start, PROJECTOR.start]]):
             raise RefusalError(
                 AMBIGUOUS,
@@ -167,8 +167,8 @@ def refuse_untrustworthy(
                 + _because(coverage),
                 _ADVICE,
                 {
-                    "camera_focal_px": float(found.fit.state.camera[0]),
-                    "other_camera_focal_px": float(other.state.camera[0]),
+                    "camera_focal_px": float(found.fit.layout.camera[0]),
+                    "other_camera_focal_px": float(other.layout.camera[0]),
                 },
             )
 
@@ -225,23 +225,23 @@ def straightness(found: Estimate) -> float:
     A valley that flattens out is wider than its floor is curved.
     """
     factor = 1.0
-    free = found.prior.free(found.state)[:SHARED]
+    free = found.prior.sigma > 0
     for column in (CAMERA.start, PROJECTOR.start):
         sigma = float(np.sqrt(found.covariance[column, column]))
-        held = found.prior.knowing([column])
+        problem = board_problem(found.views, found.prior.knowing([column]), found.levels)
         for side in (-1.0, 1.0):
             step = np.zeros(found.state.size)
             step[column] = side * _WALK_SIGMAS * sigma
             response = np.where(free, found.covariance[:, column] / found.covariance[column, column], 0.0)
             step[:SHARED] = response * step[column]
-            fit = minimise(found.views, found.state.moved(step), held, found.levels, tolerance=0.01)
+            fit = problem.minimise(found.state.moved(step), tolerance=0.01)
             rise = max(fit.cost - found.fit.cost, 1e-3)
             factor = max(factor, _WALK_SIGMAS / float(np.sqrt(rise)))
     return factor if factor > _NEARLY_PARABOLIC else 1.0
 
 
-def _focals(fit: Fit) -> str:
-    return f"a camera of {fit.state.camera[0]:.0f} px with a projector of {fit.state.projector[0]:.0f} px"
+def _focals(fit: BoardFit) -> str:
+    return f"a camera of {fit.layout.camera[0]:.0f} px with a projector of {fit.layout.projector[0]:.0f} px"
 
 
 def _because(coverage: BoardCoverage | None) -> str:

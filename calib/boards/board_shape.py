@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.boards.likelihood import BoardVariances, BoardView, Prior, minimise
-from calib.boards.parameters import PlacedBoard, State
+from calib.boards.likelihood import BoardVariances, BoardView, Prior, board_problem
+from calib.boards.parameters import PlacedBoard, State, flex_columns
 from calib.geometry import Pose
 from calib.numerics import Floats
 
@@ -25,18 +25,18 @@ def oriented_consistently(
     views: Sequence[BoardView], state: State, prior: Prior, levels: BoardVariances, turns: int
 ) -> tuple[tuple[BoardView, ...], State]:
     """Views and state with each board oriented like the first one, among this many symmetric orientations."""
-    views, current = list(views), minimise(views, state, prior, levels, tolerance=_ROUGH)
+    views, current = list(views), board_problem(views, prior, levels).minimise(state, tolerance=_ROUGH)
     for _ in range(_PASSES if turns > 1 else 0):
         changed = False
         for i in range(1, len(views)):
             for turn in range(1, turns):
-                trial_views, trial = _turned(views, current.state, i, turn / turns)
-                fit = minimise(trial_views, trial, prior, levels, tolerance=_ROUGH)
+                trial_views, trial = _turned(views, current.layout, i, turn / turns)
+                fit = board_problem(trial_views, prior, levels).minimise(trial, tolerance=_ROUGH)
                 if fit.cost < current.cost - _CLEARLY:
                     views, current, changed = trial_views, fit, True
         if not changed:
             break
-    return tuple(views), current.state
+    return tuple(views), current.layout
 
 
 def _turned(views: list[BoardView], state: State, which: int, turn: float) -> tuple[list[BoardView], State]:
@@ -62,10 +62,10 @@ def flex_of(views: Sequence[BoardView], state: State, prior: Prior, levels: Boar
 
 
 def _log_evidence(views: Sequence[BoardView], state: State, prior: Prior, levels: BoardVariances) -> float:
-    fit = minimise(views, state, prior, levels, tolerance=_ROUGH)
-    free = prior.free(fit.state)
+    problem = board_problem(views, prior, levels)
+    fit, free = problem.minimise(state, tolerance=_ROUGH), problem.free
     scale: Floats = np.sqrt(np.diag(fit.information)[free])
     scaled = fit.information[np.ix_(free, free)] / np.outer(scale, scale)
     curvature = float(np.linalg.slogdet(scaled)[1]) + 2 * float(np.sum(np.log(scale)))
-    precision = -2 * state.flex_columns().size * np.log(prior.flex) if prior.flex else 0.0
+    precision = -2 * flex_columns(len(views)).size * np.log(prior.flex) if prior.flex else 0.0
     return -0.5 * (fit.cost + curvature - precision)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.boards.estimate import Estimate
-from calib.boards.likelihood import BoardVariances, BoardView, minimise
+from calib.boards.likelihood import BoardVariances, BoardView, board_problem
 from calib.boards.parameters import CAMERA, INTRINSIC_COLUMNS, PER_FLEX, PROJECTOR, SHARED, PlacedBoard, predict_matches
 from calib.geometry import PER_POSE
 from calib.numerics import Floats
@@ -76,8 +76,8 @@ def _predicted(found: Estimate, left_out: int, rest: Estimate) -> Prediction:
     levels = _usual_levels(found, left_out)
     free = np.zeros(alone.size, np.bool_)
     free[SHARED : SHARED + PER_POSE] = True
-    posed = minimise([view], alone, found.prior, levels, free=free, matches=False)
-    predicted, jacobian, _ = predict_matches(posed.state, view.cells.camera_px, 0)
+    posed = board_problem([view], found.prior, levels, free=free, matches=False).minimise(alone)
+    predicted, jacobian, _ = predict_matches(posed.layout, view.cells.camera_px, 0)
     residual = predicted - view.cells.projector_px
     pose = slice(SHARED, SHARED + PER_POSE)
     of_pose = np.asarray(np.linalg.inv(posed.information[pose, pose]), np.float64)

@@ -9,43 +9,45 @@ from functools import reduce
 
 import numpy as np
 
-from calib.boards.likelihood import BoardVariances, BoardView, Fit, Prior, minimise
+from calib.boards.likelihood import BoardFit, BoardVariances, BoardView, Prior, board_problem
 from calib.boards.parameters import SHARED, State
 from calib.geometry import PER_POSE
 from calib.numerics import CUBIC, MEDIAN_LENGTH, Floats
-from calib.refinement import Cells, Noise, covariance_of, joined, long_waves, noise_of
+from calib.refinement import Cells, Noise, joined, long_waves, noise_of
 
 _LEAST_CORNER_PX = 1e-3
 _PRIOR_FREEDOM = 20.0  # degrees of freedom of the prior on a view's noise, around that of all views
 
 
-def measured(views: Sequence[BoardView], fit: Fit, prior: Prior) -> tuple[BoardVariances, Floats, tuple[Noise, ...]]:
+def measured(
+    views: Sequence[BoardView], fit: BoardFit, prior: Prior
+) -> tuple[BoardVariances, Floats, tuple[Noise, ...]]:
     """Levels for the likelihood, corner noise (V,) in camera px, and the noise of each view's matches.
 
     Each view's residuals are fitted by its pose and its part of the common parameters: half by its corners, half by its
     cells. Model errors are equal in all views of one board. If noise were estimated freely, the view with the best fit
     would gain weight, be fitted better still, and end with all of it, because a likelihood of variances has no bound.
     """
-    absorbed = (np.count_nonzero(prior.free(fit.state)[:SHARED]) / len(views) + PER_POSE) / 2
-    cells = [view.cells for view in views]
-    common = noise_of(reduce(joined, cells), np.concatenate(fit.cells), absorbed * len(views))
+    absorbed = (np.count_nonzero(prior.sigma > 0) / len(views) + PER_POSE) / 2
+    cells, of_corners, of_cells = [view.cells for view in views], fit.residuals[::2], fit.residuals[1::2]
+    common = noise_of(reduce(joined, cells), np.concatenate(of_cells), absorbed * len(views))
     independent = [replace(common, inflation=1.0).variances(cell) for cell in cells]
-    inflation, smooth_px = _long_waves(cells, fit.cells, independent, absorbed)
+    inflation, smooth_px = _long_waves(cells, of_cells, independent, absorbed)
     noise = tuple(
         replace(common, match_px=each.noise_px, smooth_px=float(smooth), inflation=float(kappa))
         for each, smooth, kappa in zip(cells, smooth_px, inflation, strict=True)
     )
-    corner_px = _corner_sigmas(fit, absorbed)
-    corners = [_as_cells(view, sigma) for view, sigma in zip(views, corner_px, strict=True)]
-    of_corners, _ = _long_waves(corners, fit.corners, [corner.sigma_px**2 for corner in corners], absorbed)
-    levels = BoardVariances(corner_px**2 * of_corners, tuple(map(np.multiply, independent, inflation)))
+    corner_px = _corner_sigmas(of_corners, absorbed)
+    corners = [view.corner_cells(float(sigma)) for view, sigma in zip(views, corner_px, strict=True)]
+    waves, _ = _long_waves(corners, of_corners, [corner.sigma_px**2 for corner in corners], absorbed)
+    levels = BoardVariances(corner_px**2 * waves, tuple(map(np.multiply, independent, inflation)))
     return levels, corner_px, noise
 
 
-def _corner_sigmas(fit: Fit, absorbed: float) -> Floats:
-    """Of each view, robustly, (V,)."""
+def _corner_sigmas(residuals: Sequence[Floats], absorbed: float) -> Floats:
+    """Of each view's corners, robustly, (V,)."""
     squares, freedom = [], []
-    for residual in fit.corners:
+    for residual in residuals:
         typical = float(np.median(np.linalg.norm(residual, axis=1))) / MEDIAN_LENGTH
         squares.append(typical**2 * residual.size)
         freedom.append(max(residual.size - absorbed, 1.0))
@@ -76,13 +78,6 @@ def _drawn_together(squares: Floats, freedom: Floats) -> Floats:
     return (squares + _PRIOR_FREEDOM * usual) / (freedom + _PRIOR_FREEDOM)
 
 
-def _as_cells(view: BoardView, sigma_px: float) -> Cells:
-    """A view's corners as cells, to test whether errors of neighbours correlate."""
-    count = len(view.points)
-    one, label = np.ones(count), np.zeros(count, np.int32)
-    return Cells(view.corners_px, view.corners_px, label, sigma_px * one, one, float(sigma_px), 0.0)
-
-
 _ROUNDS = 60  # rounds; a dozen are usual
 _SETTLED = 0.01  # relative change of a variance between rounds
 
@@ -96,7 +91,7 @@ class Estimate:
     """
 
     views: tuple[BoardView, ...]
-    fit: Fit
+    fit: BoardFit
     prior: Prior
     levels: BoardVariances
     corner_px: Floats
@@ -106,7 +101,7 @@ class Estimate:
     @property
     def state(self) -> State:
         """The most likely one."""
-        return self.fit.state
+        return self.fit.layout
 
 
 def estimate(views: Sequence[BoardView], start: State, prior: Prior, levels: BoardVariances) -> Estimate:
@@ -114,12 +109,14 @@ def estimate(views: Sequence[BoardView], start: State, prior: Prior, levels: Boa
 
     State and noise are estimated alternately until both converge; the result does not depend on the guess.
     """
-    fit = minimise(views, start, prior, levels)
+    problem = board_problem(views, prior, levels)
+    fit = problem.minimise(start)
     for _ in range(_ROUNDS):
         before = levels
         levels, corner_px, noise = measured(views, fit, prior)
-        fit = minimise(views, fit.state, prior, levels)
+        problem = board_problem(views, prior, levels)
+        fit = problem.minimise(fit.layout)
         if levels.change(before) < _SETTLED:
             break
-    covariance = covariance_of(fit.information, prior.free(fit.state))[:SHARED, :SHARED]
+    covariance = problem.covariance(fit)[:SHARED, :SHARED]
     return Estimate(tuple(views), fit, prior, levels, corner_px, noise, covariance)

@@ -3,7 +3,7 @@
 Corners deviate in camera pixels, cells of matches in projector pixels, both under Huber's loss.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,20 +16,21 @@ from calib.boards.parameters import (
     FOCAL,
     LENS,
     PER_DEVICE,
+    PER_VIEW,
     PROJECTOR,
     SHARED,
     State,
+    flex_columns,
     predict_corners,
     predict_matches,
 )
-from calib.numerics import NIELSEN, Bools, Floats, Quadratic, descend
-from calib.refinement import ORDINARY_LENSES, Cells, ColumnPrior, LensPrior, misfit
+from calib.estimation import Fit, Problem, Term
+from calib.numerics import NIELSEN, Bools, Floats, Ints
+from calib.refinement import ORDINARY_LENSES, Cells, ColumnPrior, LensPrior
 
-_STEPS = 60
 _TAILED = np.array(
     [[device.start + term] for device in (CAMERA, PROJECTOR) for term in (ASPECT, *range(LENS.start, LENS.stop))]
 )
-CONVERGED = 1e-4  # in cost: a hundredth of a sigma
 # Prior sigmas of devices and boards: they determine what a set of views leaves open.
 _ASPECT_SIGMA = 0.002
 _LOG_FOCAL_SIGMA = 1.0
@@ -46,6 +47,11 @@ class BoardView:
     points: Floats
     corners_px: Floats
     cells: Cells
+
+    def corner_cells(self, sigma_px: float = 1.0) -> Cells:
+        """Its corners as cells with errors of this size, whose pixels are the camera's."""
+        ones, label = np.ones(len(self.points)), np.zeros(len(self.points), np.int32)
+        return Cells(self.corners_px, self.corners_px, label, sigma_px * ones, ones, sigma_px, 0.0)
 
 
 @dataclass(frozen=True)
@@ -70,11 +76,19 @@ class Prior(ColumnPrior):
 
     flex: float = 0.0
 
-    def free(self, layout: State) -> Bools:
+    def terms(self, state: State) -> Iterator[Term]:
+        """The cost of a state: of devices and bend, and of what differs between views."""
+        yield Term.of_prior(self, state.additive())
+        if self.flex:
+            columns = flex_columns(len(state.boards)).ravel()
+            deviations = np.concatenate([board.flex for board in state.boards]) / self.flex
+            yield Term.gaussian(columns, deviations, np.eye(len(columns)) / self.flex)
+
+    def free(self, views: int) -> Bools:
         """Which columns are estimated, (size,)."""
-        free = np.ones(layout.size, np.bool_)
+        free = np.ones(SHARED + PER_VIEW * views, np.bool_)
         free[:SHARED] = self.sigma > 0
-        free[layout.flex_columns()] = self.flex > 0
+        free[flex_columns(views)] = self.flex > 0
         return free
 
 
@@ -99,75 +113,66 @@ def device_prior(
     return Prior(mean, sigma, (_TAILED,))
 
 
-@dataclass(frozen=True)
-class Fit(Quadratic):
-    """A state with its cost; residuals of the `corners` in camera px and of the `cells` in projector px, by view."""
+@dataclass(frozen=True, eq=False)
+class _ViewPart:
+    """Cells of a view, by number."""
 
-    state: State
-    corners: tuple[Floats, ...]
-    cells: tuple[Floats, ...]
+    view: int
+    cells: Cells
 
+    def columns(self, state: State) -> Ints:
+        """The state's columns that it depends on, (40,)."""
+        return state.columns(self.view)
 
-def evaluate(
-    views: Sequence[BoardView], state: State, prior: Prior, levels: BoardVariances, *, matches: bool = True
-) -> Fit:
-    """The cost of a state with its derivatives; infinite if more than outliers fall behind a device.
-
-    Without `matches`, only the camera is evaluated.
-    """
-    of_columns, slope, curvature = prior.misfit(state.additive())
-    cost = float(of_columns.sum())
-    gradient, information = np.zeros(state.size), np.zeros((state.size, state.size))
-    gradient[:SHARED], information[:SHARED, :SHARED] = slope, np.diag(curvature)
-    if prior.flex:
-        columns, flex = (
-            state.flex_columns().ravel(),
-            np.concatenate([board.flex for board in state.boards]) / prior.flex,
-        )
-        cost += float(flex @ flex)
-        gradient[columns], information[columns, columns] = flex / prior.flex, prior.flex**-2.0
-    corners, cells = [], []
-    for i, view in enumerate(views):
-        columns = state.columns(i)
-        predicted, jacobian, depth = predict_corners(state, view.points, i)
-        residual = np.empty_like(predicted)
-        corners_px, depths = np.ascontiguousarray(view.corners_px), np.stack([depth, depth], axis=1)
-        variance = np.full(len(corners_px), levels.corners[i])
-        cost += misfit(predicted, corners_px, jacobian, depths, variance, columns, residual, gradient, information)
-        corners.append(residual)
-        if not matches:
-            continue
-        predicted, jacobian, depths = predict_matches(state, view.cells.camera_px, i)
-        residual = np.empty_like(predicted)
-        corners_px = np.ascontiguousarray(view.cells.projector_px)
-        cost += misfit(
-            predicted, corners_px, jacobian, depths, levels.cells[i], columns, residual, gradient, information
-        )
-        cells.append(residual)
-    if not np.isfinite(cost):
-        cost = np.inf
-    return Fit(cost, gradient, information, state, tuple(corners), tuple(cells))
+    def carried(self, _: State) -> None:
+        """Its own columns are those of the state."""
 
 
-def minimise(
+@dataclass(frozen=True, eq=False)
+class BoardCorners(_ViewPart):
+    """Corners, each a cell whose pixels are the camera's."""
+
+    points: Floats
+    """(N, 2): on the board."""
+
+    def predict(self, state: State) -> tuple[Floats, Floats, Floats]:
+        """Camera pixels (N, 2), their Jacobian (N, 2, 40), and depths (N, 2), twice that before the camera."""
+        pixels, jacobian, depth = predict_corners(state, self.points, self.view)
+        return pixels, jacobian, np.stack([depth, depth], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class BoardMatches(_ViewPart):
+    """Means of matches on the board."""
+
+    def predict(self, state: State) -> tuple[Floats, Floats, Floats]:
+        """Projector pixels (N, 2), their Jacobian (N, 2, 40), and depths (N, 2)."""
+        return predict_matches(state, self.cells.camera_px, self.view)
+
+
+BoardProblem = Problem[State, BoardCorners | BoardMatches]
+BoardFit = Fit[State]
+
+
+def board_problem(
     views: Sequence[BoardView],
-    state: State,
     prior: Prior,
     levels: BoardVariances,
     *,
     free: Bools | None = None,
     matches: bool = True,
-    tolerance: float = CONVERGED,
-    steps: int = _STEPS,
-) -> Fit:
-    """The nearest minimum over the `free` columns (size,), by default all that the prior does not know.
+) -> BoardProblem:
+    """What tells of a state: each view's corners, then its matches. No more than outliers may be behind a device.
 
-    Ends when a further step promises to lower the cost by less than `tolerance`.
+    `free` (size,): by default all columns that the prior does not know. Without `matches`, only the camera is seen.
     """
-    columns = np.flatnonzero(prior.free(state) if free is None else free)
-
-    def moved(fit: Fit, step: Floats) -> Fit:
-        return evaluate(views, fit.state.moved(step), prior, levels, matches=matches)
-
-    start = evaluate(views, state, prior, levels, matches=matches)
-    return descend(start, moved, lambda _, decrement: decrement < tolerance, NIELSEN, steps, free=columns)
+    parts: list[BoardCorners | BoardMatches] = []
+    variances = []
+    for i, (view, corners, cells) in enumerate(zip(views, levels.corners, levels.cells, strict=True)):
+        parts.append(BoardCorners(i, view.corner_cells(), view.points))
+        variances.append(np.full(len(view.points), corners))
+        if matches:
+            parts.append(BoardMatches(i, view.cells))
+            variances.append(cells)
+    free = prior.free(len(views)) if free is None else free
+    return BoardProblem(parts, variances, prior, free, behind=np.inf, damping=NIELSEN)

@@ -44,7 +44,7 @@ def best_next_pose(found: Estimate, sizes: tuple[Size, Size]) -> NextPose | None
 
     None if neither picture would hold any of them.
     """
-    free = found.prior.free(found.state)[:SHARED]
+    free = found.prior.sigma > 0
     known = inverse_of(found.covariance[np.ix_(free, free)])
     scale = _scale(found.state)
     best: NextPose | None = None

@@ -75,11 +75,6 @@ class State:
         """Columns of a view's board: its pose and flex."""
         return slice(SHARED + PER_VIEW * view, SHARED + PER_VIEW * (view + 1))
 
-    def flex_columns(self) -> Ints:
-        """Columns of all views' flex, (V, 3)."""
-        starts = SHARED + PER_VIEW * np.arange(len(self.boards)) + PER_POSE
-        return (starts[:, None] + np.arange(PER_FLEX)).astype(np.int32)
-
     def bend_of(self, view: int) -> Floats:
         """The board's bend in a view, (7,)."""
         bend: Floats = self.bend.copy()
@@ -118,6 +113,12 @@ class State:
     def normal(self, view: int) -> Floats:
         """The board's unit normal in the camera's frame, (3,)."""
         return self.boards[view].pose.rotation[:, 2]
+
+
+def flex_columns(views: int) -> Ints:
+    """Columns of all views' flex, (V, 3)."""
+    starts = SHARED + PER_VIEW * np.arange(views) + PER_POSE
+    return (starts[:, None] + np.arange(PER_FLEX)).astype(np.int32)
 
 
 def device_of(intrinsics: Intrinsics) -> Floats:

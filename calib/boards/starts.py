@@ -11,7 +11,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from calib.boards.likelihood import BoardVariances, BoardView, Fit, Prior, minimise
+from calib.boards.likelihood import BoardFit, BoardProblem, BoardVariances, BoardView, Prior, board_problem
 from calib.boards.parameters import (
     BEND,
     CAMERA,
@@ -27,7 +27,7 @@ from calib.boards.parameters import (
 )
 from calib.closed_form import resected
 from calib.geometry import Pose
-from calib.numerics import Bools, Floats, distinct, evenly
+from calib.numerics import Floats, distinct, evenly
 
 _SHORTEST, _LONGEST, _TRIALS = 0.35, 8.0, 14  # focals in units of the image's longer side
 _FINALISTS = 3
@@ -43,7 +43,7 @@ def starts(
     projector_size: tuple[int, int],
     reach: float,
     prior: Prior,
-) -> list[Fit]:
+) -> list[BoardFit]:
     """Rough fits of the views with different focals, best first."""
     levels = rough_levels(views)
     rough = prior.knowing(_all_but(CAMERA.start + LENS.start, PROJECTOR.start + LENS.start))
@@ -55,16 +55,16 @@ def starts(
     return _distinct([fit for fit in best_first(views, states, rough) if np.isfinite(fit.cost)])
 
 
-def best_first(views: Sequence[BoardView], states: Sequence[State], prior: Prior) -> list[Fit]:
+def best_first(views: Sequence[BoardView], states: Sequence[State], prior: Prior) -> list[BoardFit]:
     """The rough fits that the states lead to."""
-    levels = rough_levels(views)
-    fits = [minimise(views, state, prior, levels, tolerance=_ROUGH, steps=_STEPS) for state in states]
+    problem = board_problem(views, prior, rough_levels(views))
+    fits = [problem.minimise(state, tolerance=_ROUGH, steps=_STEPS) for state in states]
     return sorted(fits, key=lambda fit: fit.cost)
 
 
-def _distinct(fits: list[Fit]) -> list[Fit]:
+def _distinct(fits: list[BoardFit]) -> list[BoardFit]:
     """Those with other focals than better ones before them."""
-    focals = np.log([[fit.state.camera[0], fit.state.projector[0]] for fit in fits]).reshape(-1, 2)
+    focals = np.log([[fit.layout.camera[0], fit.layout.projector[0]] for fit in fits]).reshape(-1, 2)
     return [fits[k] for k in distinct(len(fits), lambda k: np.abs(focals - focals[k]).max(axis=1) <= _DIFFERENT)]
 
 
@@ -92,22 +92,22 @@ def _cameras(
         boards = tuple(board for board, _ in posed)
         trials.append((cost, State(camera, camera, beside, np.zeros(PER_BEND), reach, boards)))
     trials.sort(key=lambda trial: trial[0])
-    found: list[Fit] = []
+    free = prior.free(len(views))
+    free[PROJECTOR] = free[POSE] = False
+    problem = board_problem(views, prior, levels, free=free, matches=False)
+    found: list[BoardFit] = []
     for _, state in trials[:_FINALISTS]:
-        free = prior.free(state)
-        free[PROJECTOR] = free[POSE] = False
-        fit = minimise(views, state, prior, levels, free=free, matches=False, tolerance=_ROUGH, steps=_STEPS)
-        fit = _turned_over(views, fit, prior, levels, free)
-        if all(abs(np.log(fit.state.camera[0] / other.state.camera[0])) > _DIFFERENT for other in found):
+        fit = problem.minimise(state, tolerance=_ROUGH, steps=_STEPS)
+        fit = _turned_over(views, fit, problem)
+        if all(abs(np.log(fit.layout.camera[0] / other.layout.camera[0])) > _DIFFERENT for other in found):
             found.append(fit)
-    yield from (fit.state for fit in sorted(found, key=lambda fit: fit.cost))
+    yield from (fit.layout for fit in sorted(found, key=lambda fit: fit.cost))
 
 
-def _turned_over(views: Sequence[BoardView], fit: Fit, prior: Prior, levels: BoardVariances, free: Bools) -> Fit:
+def _turned_over(views: Sequence[BoardView], fit: BoardFit, problem: BoardProblem) -> BoardFit:
     """The same with each board in the other of the two poses that a weak perspective leaves, where that is better."""
-    boards = tuple(pose_of(view.points, view.corners_px, fit.state.camera)[0] for view in views)
-    start = replace(fit.state, boards=boards)
-    other = minimise(views, start, prior, levels, free=free, matches=False, tolerance=_ROUGH, steps=_STEPS)
+    boards = tuple(pose_of(view.points, view.corners_px, fit.layout.camera)[0] for view in views)
+    other = problem.minimise(replace(fit.layout, boards=boards), tolerance=_ROUGH, steps=_STEPS)
     return min(fit, other, key=lambda each: each.cost)
 
 

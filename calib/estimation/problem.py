@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 import numpy as np
 
 from calib.geometry import PER_PLANE, Plane, tangent_basis
-from calib.numerics import Bools, Damping, Floats, Ints, Quadratic, descend, huber_loss, huber_weights
+from calib.numerics import Bools, Damping, Floats, Ints, Quadratic, compiled, descend, huber_loss, huber_weights
 from calib.refinement import ROBUST_SIGMAS, Cells, ColumnPrior, covariance_of, misfit
 
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
@@ -86,16 +86,23 @@ def add_up(size: int, terms: Iterable[Term]) -> Quadratic:
     cost, gradient, information = 0.0, np.zeros(size), np.zeros((size, size))
     for term in terms:
         cost += term.cost
-        gradient[term.columns] += term.gradient
-        information[np.ix_(term.columns, term.columns)] += term.information
+        _add(term.columns.astype(np.int64, copy=False), term.gradient, term.information, gradient, information)
     return Quadratic(cost, gradient, information)
+
+
+@compiled
+def _add(columns: Ints, slope: Floats, curvature: Floats, gradient: Floats, information: Floats) -> None:
+    """Add to the gradient and the information, in a fifth of the time of NumPy's."""
+    for i in range(len(columns)):
+        gradient[columns[i]] += slope[i]
+        for j in range(len(columns)):
+            information[columns[i], columns[j]] += curvature[i, j]
 
 
 class Part(Protocol[LayoutT]):
     """Cells of matches that a layout predicts.
 
-    Derivatives are by P own columns, or by the layout's `columns` (Q,), with `carried` (P, Q) the derivatives of the
-    own ones by them.
+    Derivatives are by P own columns, or by the layout's `columns` (Q,).
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
@@ -104,8 +111,8 @@ class Part(Protocol[LayoutT]):
     def cells(self) -> Cells:
         """Means of matches, (M,)."""
 
-    def predict(self, layout: LayoutT, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
-        """Projector pixels (N, 2) of its cells, or of `camera_px`, their Jacobian (N, 2, P), and depths (N, 2).
+    def predict(self, layout: LayoutT) -> tuple[Floats, Floats, Floats]:
+        """Projector pixels (M, 2) of its cells, their Jacobian (M, 2, P), and depths (M, 2).
 
         Depths are those before both devices, not positive where the prediction means nothing.
         """
@@ -113,8 +120,8 @@ class Part(Protocol[LayoutT]):
     def columns(self, layout: LayoutT) -> Ints:
         """The layout's columns that it depends on, (Q,)."""
 
-    def carried(self, layout: LayoutT) -> Floats:
-        """How its own columns follow those, (P, Q)."""
+    def carried(self, layout: LayoutT) -> Floats | None:
+        """How its own columns follow those, (P, Q); None if they are these."""
 
 
 class PlanePart(Part[LayoutT], Protocol[LayoutT]):
@@ -130,6 +137,12 @@ class PlanePart(Part[LayoutT], Protocol[LayoutT]):
     @property
     def plane(self) -> int:
         """Number of the plane."""
+
+    def predict(self, layout: LayoutT, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+        """The prediction of its cells, or of `camera_px` (N, 2)."""
+
+    def carried(self, layout: LayoutT) -> Floats:
+        """How its own columns follow those of the layout, (P, Q)."""
 
     def points(self, layout: LayoutT) -> Floats:
         """Where the rays of its cells meet the plane, (M, 3) in the layout's frame."""
@@ -217,7 +230,9 @@ class Problem(Generic[AnyLayout, PartT]):
         if not np.isfinite(cost):
             cost, slope, curvature = self.behind * len(observed_px), np.zeros_like(slope), np.zeros_like(curvature)
         carried = part.carried(layout)
-        return Term(cost, carried.T @ slope, carried.T @ curvature @ carried, part.columns(layout)), residual
+        if carried is not None:
+            slope, curvature = carried.T @ slope, carried.T @ curvature @ carried
+        return Term(cost, slope, curvature, part.columns(layout)), residual
 
 
 def squareness(layout: PlaneLayout, pairs: Sequence[tuple[int, int]], sigma: float) -> Iterator[Term]:
