@@ -13,12 +13,13 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.geometry import IDENTITY, Pose
-from calib.numerics import Floats, Ints, huber_weights, robust_sigma
+from calib.estimation import Term, add_up
+from calib.geometry import IDENTITY, PER_POSE, Pose
+from calib.numerics import Floats, Ints, Quadratic, huber_weights, robust_sigma
 from calib.objects.patch_overlap import overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, ObjectView
 from calib.refinement import ROBUST_SIGMAS
-from calib.registration import couple_poses, match_keypoints
+from calib.registration import couple_places, match_keypoints, step_places
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
@@ -51,6 +52,12 @@ class PairResiduals:
         size = np.abs(self.off) / self.sigma
         return huber_weights(size, ROBUST_SIGMAS) / self.sigma**2
 
+    @property
+    def term(self) -> Term:
+        """What they add to the cost, by the twists of all places."""
+        pulls = self.by_first * self.weight[:, None]
+        return couple_places(self.first, self.second, pulls.T @ self.off, pulls.T @ self.by_first)
+
 
 @dataclass(frozen=True, eq=False)
 class JointEstimate:
@@ -78,7 +85,7 @@ def estimate_jointly(views: Sequence[ObjectView], places: Sequence[Pose]) -> Joi
     for grains in _ROUNDS:
         for _ in range(_STEPS):
             found = _together(views, now, pairs, grains)
-            step = _step(found, len(views))
+            step = step_places(_normal(found, len(views)), _DAMPING)
             now = [Pose.from_vector(twist) @ place for place, twist in zip(now, step, strict=True)]
             if np.abs(step).max(initial=0.0) < _CONVERGED * views[0].middle[2]:
                 break
@@ -104,7 +111,7 @@ def align(first: ObjectView, second: ObjectView, pose: Pose, grains: Sequence[fl
             found = residuals_of(first, second, (0, 1), places, grain * first.grain, count)
             if found is None:
                 return places[1]
-            places[1] = Pose.from_vector(_step([found], 2)[1]) @ places[1]
+            places[1] = Pose.from_vector(step_places(_normal([found], 2), _DAMPING)[1]) @ places[1]
     return places[1]
 
 
@@ -184,26 +191,15 @@ def _together(
     return [each for each in found if each is not None]
 
 
-def _normal(found: Sequence[PairResiduals], count: int) -> tuple[Floats, Floats]:
-    """Matrix (6 n, 6 n) and gradient (6 n,) of all places' twists about the origin."""
-    weighted = [(each, each.by_first * each.weight[:, None]) for each in found]
-    return couple_poses(((each.first, each.second, w.T @ each.by_first, w.T @ each.off) for each, w in weighted), count)
-
-
-def _step(found: Sequence[PairResiduals], count: int) -> Floats:
-    """Twists (n, 6) about the origin; zero for the first view."""
-    matrix, gradient = _normal(found, count)
-    free = matrix[6:, 6:]
-    scale = np.sqrt(np.maximum(np.diag(free), 1e-30))
-    scaled = free / np.outer(scale, scale) + _DAMPING * np.eye(len(free))
-    step = -np.linalg.solve(scaled, gradient[6:] / scale) / scale
-    return np.concatenate([np.zeros((1, 6)), step.reshape(-1, 6)])
+def _normal(found: Sequence[PairResiduals], count: int) -> Quadratic:
+    """By all places' twists about the origin, (6 n,)."""
+    return add_up(PER_POSE * count, (pair.term for pair in found))
 
 
 def _covariance(found: Sequence[PairResiduals], count: int, middle: Floats) -> tuple[Floats, Floats]:
     """And the information, about the middle: its shifts are known far better than those of the camera's centre."""
     turned = np.kron(np.eye(count), Pose(np.eye(3), -middle).adjoint)
-    matrix, _ = _normal(found, count)
+    matrix = _normal(found, count).information
     bread = np.zeros_like(matrix)
     free = matrix[6:, 6:]
     scale = np.sqrt(np.maximum(np.diag(free), 1e-30))

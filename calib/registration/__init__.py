@@ -1,6 +1,6 @@
 """Registration: how views of one scene fit together, by planes, keypoints and shape, without a first guess."""
 
-from calib.registration.alignment import couple_poses
+from calib.registration.alignment import couple_places, step_places
 from calib.registration.changes import Change, find_changes
 from calib.registration.deviations import (
     CellDeviations,

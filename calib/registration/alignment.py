@@ -6,14 +6,15 @@ the other camera's ray (Blais and Levine 1995), without a search tree. Matching 
 Poses move by twists of the room's frame: a rotation ω and a translation v take X to X + ω × X + v.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from calib.geometry import Pose, cross_matrix
-from calib.numerics import Floats
+from calib.estimation import Term, add_up
+from calib.geometry import PER_POSE, Pose, cross_matrix
+from calib.numerics import Floats, Quadratic, newton
 from calib.registration.agreement import FINE, GATES
 from calib.registration.keypoints import match_keypoints
 from calib.registration.plane_step import step_pose
@@ -125,28 +126,27 @@ def align_jointly(stations: Mapping[int, Surfaces], places: Mapping[int, Pose]) 
     for _ in range(_STEPS):
         equations = {(a, b): normal_equations(stations[a], now[a], stations[b], now[b], FINE) for a, b in pairs}
         pairs = [pair for pair in pairs if equations[pair].count > 0]
-        between = [(names.index(a), names.index(b), equations[a, b].matrix, equations[a, b].gradient) for a, b in pairs]
-        matrix, gradient = couple_poses(between, len(names))
-        damping = _DAMPING * np.diag(matrix)[6:] + 1e-12
-        twists = -np.linalg.solve(matrix[6:, 6:] + np.diag(damping), gradient[6:]).reshape(-1, 6).astype(np.float64)
-        for name, twist in zip(names[1:], twists, strict=True):
+        terms = [
+            couple_places(names.index(a), names.index(b), equations[a, b].gradient, equations[a, b].matrix)
+            for a, b in pairs
+        ]
+        twists = step_places(add_up(PER_POSE * len(names), terms), _DAMPING)
+        for name, twist in zip(names, twists, strict=True):
             now[name] = Pose.from_vector(twist) @ now[name]
         if np.abs(twists).max(initial=0.0) < _CONVERGED * stations[names[0]].distance:
             break
     return now
 
 
-def couple_poses(between: Iterable[tuple[int, int, Floats, Floats]], count: int) -> tuple[Floats, Floats]:
-    """Matrix (6 n, 6 n) and gradient (6 n,) of the twists of all places, from those by the first twist of each pair,
-    whose numbers come before them; the second one has the opposite effect.
+def couple_places(first: int, second: int, gradient: Floats, information: Floats, cost: float = 0.0) -> Term:
+    """What a pair adds to the cost, by the twists of all places: of the first, by which gradient (6,) and information
+    (6, 6) are, and of the second, which has the opposite effect.
     """
-    matrix, gradient = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
-    for first, second, own, pull in between:
-        i, j = slice(6 * first, 6 * first + 6), slice(6 * second, 6 * second + 6)
-        matrix[i, i] += own
-        matrix[j, j] += own
-        matrix[i, j] -= own
-        matrix[j, i] -= own
-        gradient[i] += pull
-        gradient[j] -= pull
-    return matrix, gradient
+    sign = np.repeat([1.0, -1.0], PER_POSE)
+    columns = np.concatenate([PER_POSE * number + np.arange(PER_POSE) for number in (first, second)])
+    return Term(cost, sign * np.tile(gradient, 2), np.outer(sign, sign) * np.tile(information, (2, 2)), columns)
+
+
+def step_places(total: Quadratic, damping: float = 0.0) -> Floats:
+    """Twists (n, 6) of all places that lower the cost most; zero for the first one, which stays."""
+    return newton(total, np.arange(PER_POSE, len(total.gradient)), damping)[0].reshape(-1, PER_POSE)

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from calib.estimation import add_up
 from calib.geometry import IDENTITY, PER_POSE, Pose, cross_matrix
 from calib.numerics import Floats
-from calib.registration.alignment import couple_poses
+from calib.registration.alignment import couple_places, step_places
 
 _STEPS = 20
 _CONVERGED = 1e-10
@@ -119,23 +120,21 @@ def _solved(pairs: Sequence[PairPose], places: Mapping[int, Pose]) -> tuple[dict
     if count == 1:
         return now, covariance, np.zeros(0)
     for _ in range(_STEPS):
-        between, parts = [], []
+        terms = []
         for pair in pairs:
             residual = (now[pair.first].inverse() @ now[pair.second] @ pair.pose.inverse()).log()
             to_first = now[pair.first].inverse().adjoint
-            weighted = to_first.T @ pair.information
-            parts.append(float(residual @ pair.information @ residual))
-            between.append(
-                (names.index(pair.second), names.index(pair.first), weighted @ to_first, weighted @ residual)
-            )
-        matrix, gradient = couple_poses(between, count)
-        twists = -np.linalg.solve(matrix[PER_POSE:, PER_POSE:], gradient[PER_POSE:]).reshape(-1, PER_POSE)
-        for name, twist in zip(names[1:], twists.astype(np.float64), strict=True):
+            weighted, cost = to_first.T @ pair.information, float(residual @ pair.information @ residual)
+            numbers = names.index(pair.second), names.index(pair.first)
+            terms.append(couple_places(*numbers, weighted @ residual, weighted @ to_first, cost))
+        total = add_up(PER_POSE * count, terms)
+        twists = step_places(total)
+        for name, twist in zip(names, twists, strict=True):
             now[name] = Pose.exp(twist) @ now[name]
         if np.abs(twists).max() < _CONVERGED:
             break
-    covariance[PER_POSE:, PER_POSE:] = np.linalg.inv(matrix[PER_POSE:, PER_POSE:])
-    return now, covariance, np.array(parts)
+    covariance[PER_POSE:, PER_POSE:] = np.linalg.inv(total.information[PER_POSE:, PER_POSE:])
+    return now, covariance, np.array([term.cost for term in terms])
 
 
 def _worst(pairs: Sequence[PairPose], parts: Floats, places: Mapping[int, Pose], root: int) -> PairPose | None:
