@@ -24,7 +24,7 @@ from calib.networks.prior import NetworkKnowledge
 from calib.networks.warps import Warps, find_warps, is_strained, or_moved, warped, weighed
 from calib.networks.weights import Weights
 from calib.numerics import Floats, evenly
-from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
+from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts
 from calib.refusal import RefusalError
 from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self_calibrate
 
@@ -203,8 +203,7 @@ def _first_fit(grown: Grown) -> tuple[Sequence[PlaneObservation], Fit[Network], 
     wrong = len(untied_fit.layout.planes) - len(fit.layout.planes)
     if not wrong and not is_strained(untied.parts, fit):
         return tied.parts, fit, ""
-    of_noise = Weights.of_noise(untied.parts)
-    alone = of_noise.fitted(grown, untied.parts, untied_fit.layout, grown.free(untied_fit.layout), ROUGH)
+    alone = replace(untied, joints=()).minimise(untied_fit.layout, tolerance=ROUGH)
     as_it_is = Explanation(alone, untied.parts, PER_PLANE * wrong)
     likely = likeliest(as_it_is, [*moves(grown, tied.parts, fit.layout), warped(grown, tied.parts, fit)])
     if likely is as_it_is or likely.fit.cost > _EXPLAINED * fit.cost:
@@ -218,7 +217,7 @@ def _fit_in_front(
     """A fit near a network, without sights that end behind a device."""
     network, kept = _in_front(network, sights)
     while True:
-        problem = grown.problem(network, kept)
+        problem = replace(grown.problem(network, kept), joints=grown.joints(network))
         fit = problem.minimise(network, tolerance=ROUGH)
         network, kept = _in_front(fit.layout, kept)
         if len(kept) == len(problem.parts):
@@ -259,22 +258,21 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
     """All of it at once, with the noise that its residuals show."""
     pairs = tuple(grown.labelled)
     sights, fit, moved = _first_fit(grown)
-    free = grown.free(fit.layout)
     if moved:
-        warps, weights = Warps(moved=moved), Weights.of_noise(sights)
+        warps, weights = Warps(moved=moved), Weights(grown.problem(fit.layout, sights), rough=True)
     else:
         warps, fit, weights = find_warps(grown, sights, fit)
     for last in range(_ROUNDS):
-        levels, weights = weights.measured_anew(grown, sights, fit, free)
-        fit = weights.fitted(grown, sights, fit.layout, free, CONVERGED if last == _ROUNDS - 1 else ROUGH)
+        levels, weights = weights.measured_anew(grown, fit)
+        fit = weights.fitted(fit.layout, CONVERGED if last == _ROUNDS - 1 else ROUGH)
     waves = np.zeros(len(fit.layout.planes))
     for plane, surface in enumerate(weights.surfaces):
         heights = surface.solved(fit.layout).amplitudes
         waves[plane] = np.sqrt(np.mean(np.square(np.concatenate(surface.modes) @ heights)))
     of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
-    hidden, of_warps = weighed(sights, fit, free, grown.names)
-    covariance = covariance_of(fit.information, free) + of_warps
-    covariance += covariance_of_shifts(weights.problem(grown, sights, free), fit, levels, of_shifts)
+    hidden, of_warps = weighed(weights.problem, fit, grown.names)
+    covariance = weights.problem.covariance(fit) + of_warps
+    covariance += covariance_of_shifts(weights.problem, fit, levels, of_shifts)
     on_planes = {sight.capture for sight in sights}
     noise = {
         pair: level if i in on_planes else Noise(grown.overlaps.match_px(pair), 0.0, 0.0, 1.0)

@@ -181,9 +181,9 @@ class Grown:
         return tuple(self.overlaps.joints(network, self.names, labelled))
 
     def problem(self, network: Network, sights: Sequence[PlaneObservation]) -> NetworkProblem:
-        """What tells of it, near a network, by the scatter of matches alone."""
+        """What sights tell of it, near a network, by the scatter of matches alone."""
         variances, prior = [sight.cells.sigma_px**2 for sight in sights], self.knowledge.prior(self.names)
-        return NetworkProblem(sights, variances, prior, self.free(network), self.joints(network))
+        return NetworkProblem(sights, variances, prior, self.free(network))
 
     def labelled_anew(self) -> "Grown":
         """With labels of planes that were met later."""
@@ -276,7 +276,7 @@ class Grown:
     def _settled(self, free: Bools) -> "Grown":
         network = self.network
         for _ in range(_ROUNDS):
-            problem = replace(self.problem(network, self.sights), free=free)
+            problem = replace(self.problem(network, self.sights), free=free, joints=self.joints(network))
             network = problem.minimise(network, tolerance=ROUGH).layout
             if not problem.joints:
                 break

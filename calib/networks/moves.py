@@ -17,7 +17,6 @@ from calib.geometry import PER_PLANE, PER_POSE
 from calib.networks.initialisation import ROUGH, Grown
 from calib.networks.network import Network
 from calib.networks.observations import PlaneObservation
-from calib.networks.weights import Weights
 from calib.numerics import CUBIC
 from calib.refinement import PER_DEVICE, long_waves
 
@@ -64,8 +63,8 @@ def moves(grown: Grown, sights: Sequence[PlaneObservation], network: Network) ->
             split = [_with_device(s, role, elsewhere) if s.capture == capture else s for s in sights]
             doubled = replace(network, devices=(*network.devices, network.devices[number]))
             more = replace(grown, names=(*grown.names, name))
-            weights = replace(Weights.of_noise(split), joints=(SameLens(number, elsewhere),))
-            fit = weights.fitted(more, split, doubled, more.free(doubled), ROUGH)
+            problem = replace(more.problem(doubled, split), joints=(SameLens(number, elsewhere),))
+            fit = problem.minimise(doubled, tolerance=ROUGH)
             # A plane tells no more of where a device is than three numbers, its own.
             yield Explanation(fit, split, min(PER_POSE, PER_PLANE * planes), name)
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from calib.estimation import Fit, Term, modes_over
 from calib.networks.network import Network
-from calib.networks.observations import PlaneObservation
-from calib.numerics import Bools, Floats, huber_loss, huber_weights
-from calib.refinement import ROBUST_SIGMAS, covariance_of
+from calib.networks.observations import NetworkProblem, PlaneObservation
+from calib.numerics import Floats, huber_loss, huber_weights
+from calib.refinement import ROBUST_SIGMAS
 
 _ROUNDS = 3
 _BEHIND = 100.0
@@ -101,10 +101,9 @@ class Heights:
         return max(len(self.amplitudes) - float(whole) / steepness**2, 0.0)
 
 
-def surfaces_of(
-    sights: Sequence[PlaneObservation], fit: Fit[Network], variances: Sequence[Floats]
-) -> tuple[PlaneRelief, ...]:
+def surfaces_of(problem: NetworkProblem, fit: Fit[Network]) -> tuple[PlaneRelief, ...]:
     """All planes, with heights that are as steep as residuals along them allow."""
+    sights, variances = problem.parts, problem.variances
     found = []
     squares = []
     for plane, flat in enumerate(fit.layout.planes):
@@ -120,10 +119,9 @@ def surfaces_of(
 
 
 def likeliest_steepness(
-    surfaces: Sequence[PlaneRelief], solved: Sequence[Heights], fit: Fit[Network], free: Bools
+    surfaces: Sequence[PlaneRelief], solved: Sequence[Heights], covariance: Floats
 ) -> tuple[list[float], float]:
-    """Of each; and how many amplitudes the cells tell of all of them."""
-    covariance = covariance_of(fit.information, free)
+    """Of each; and how many amplitudes the cells tell of all of them. `covariance` (size, size): of the network."""
     told = [heights.told(each.steepness, covariance) for each, heights in zip(surfaces, solved, strict=True)]
     squares = [float(heights.amplitudes @ heights.amplitudes) for heights in solved]
     of_all = _AS_ALL * sum(squares) / max(sum(told), 1e-9)

@@ -20,7 +20,7 @@ from calib.networks.diagnostics import strains
 from calib.networks.initialisation import ROUGH, Grown
 from calib.networks.moves import Explanation, likeliest, moves
 from calib.networks.network import PER_WARP, WARP, Network
-from calib.networks.observations import PlaneObservation
+from calib.networks.observations import NetworkProblem, PlaneObservation
 from calib.networks.prior import WARP_SIGMA
 from calib.networks.weights import Weights
 from calib.numerics import Bools, Floats
@@ -78,36 +78,35 @@ def find_warps(
 ) -> tuple[Warps, Fit[Network], Weights]:
     """From a fit under the scatter of matches; also one without a warp, and the weights that it was made with."""
     free, devices = grown.free(fit.layout), range(len(grown.names))
-    every, weights = _freed(fit.layout, free, devices), Weights.of_noise(sights)
-    whole = weights.fitted(grown, sights, fit.layout, every, _FOR_NOISE * fit.cost)
+    weights = Weights(grown.problem(fit.layout, sights), rough=True).freeing(_freed(fit.layout, free, devices))
+    whole = weights.fitted(fit.layout, _FOR_NOISE * fit.cost)
     for _ in range(_ROUNDS):
-        _, weights = weights.measured_anew(grown, sights, whole, every)
-        whole = weights.fitted(grown, sights, whole.layout, every, _ENOUGH)
-    none = weights.fitted(grown, sights, _without_warps(whole.layout), free, _ENOUGH)
+        _, weights = weights.measured_anew(grown, whole)
+        whole = weights.fitted(whole.layout, _ENOUGH)
+    usual = weights.freeing(free)
+    none = usual.fitted(_without_warps(whole.layout), _ENOUGH)
     if none.cost - whole.cost < _by_chance(PER_WARP) or is_strained(sights, whole):
-        return Warps(), none, weights
-    whole = weights.fitted(grown, sights, whole.layout, every, ROUGH)
+        return Warps(), none, usual
+    whole = weights.fitted(whole.layout, ROUGH)
     # From walls that waves bent to fit a warp, a descent may end before it is down.
     starts = none.layout, fit.layout
-    none = min((weights.fitted(grown, sights, start, free, ROUGH) for start in starts), key=lambda start: start.cost)
+    none = min((usual.fitted(start, ROUGH) for start in starts), key=lambda start: start.cost)
     if none.cost - whole.cost < _by_chance(PER_WARP):
-        return Warps(), none, weights
+        return Warps(), none, usual
     candidates = []
     for number, name in enumerate(grown.names):
         start, columns = _without_warps(whole.layout, but=number), _freed(fit.layout, free, (number,))
-        alone = weights.fitted(grown, sights, start, columns, ROUGH)
+        alone = weights.freeing(columns).fitted(start, ROUGH)
         candidates.append(Warp(name, none.cost - alone.cost, alone.layout.devices[number].warp))
     candidates.sort(key=lambda candidate: -candidate.gain)
     several = none.cost - whole.cost - candidates[0].gain > _by_chance(PER_WARP * (len(devices) - 1))
     if several or candidates[0].gain < _by_chance(PER_WARP):
-        return Warps(several=several), none, weights
+        return Warps(several=several), none, usual
     likely = tuple(candidate for candidate in candidates if candidate.gain > candidates[0].gain - _AS_LIKELY)
-    return Warps(likely), none, weights
+    return Warps(likely), none, usual
 
 
-def weighed(
-    sights: Sequence[PlaneObservation], fit: Fit[Network], free: Bools, names: Sequence[str]
-) -> tuple[Warps, Floats]:
+def weighed(problem: NetworkProblem, fit: Fit[Network], names: Sequence[str]) -> tuple[Warps, Floats]:
     """Warps of one parameter of one picture, by their evidence: those that are certain, and what all of them that the
     captures do not exclude add to the covariance (size, size).
     """
@@ -116,7 +115,7 @@ def weighed(
         start = fit.layout.device_columns(number).start + WARP.start
         for k, (probability, spread) in enumerate(zip(_PROBABILITY, WARP_SIGMA.tolist(), strict=True)):
             alternatives.append(
-                (name, k, alternative(fit.information, fit.gradient, free, start + k, probability, spread))
+                (name, k, alternative(fit.information, fit.gradient, problem.free, start + k, probability, spread))
             )
     alternatives.sort(key=lambda alternative: -alternative[2].odds)
     total = 1 + sum(alternative.odds for _, _, alternative in alternatives)
@@ -124,7 +123,7 @@ def weighed(
         (alternative.added(alternative.odds / total) for _, _, alternative in alternatives),
         np.zeros_like(fit.information),
     )
-    if total < _CERTAIN or is_strained(sights, fit):
+    if total < _CERTAIN or is_strained(problem.parts, fit):
         return Warps(), covariance
     likely: dict[str, Warp] = {}
     for name, k, moved in alternatives:
@@ -140,9 +139,8 @@ def warped(
     """The pictures of these devices, or of all, are warped."""
     devices = [number for number, name in enumerate(grown.names) if names is None or name in names]
     start, free = _without_warps(fit.layout), _freed(fit.layout, grown.free(fit.layout), devices)
-    return Explanation(
-        Weights.of_noise(sights).fitted(grown, sights, start, free, ROUGH), sights, PER_WARP * len(devices)
-    )
+    problem = replace(grown.problem(start, sights), free=free)
+    return Explanation(problem.minimise(start, tolerance=ROUGH), sights, PER_WARP * len(devices))
 
 
 def or_moved(warps: Warps, grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network]) -> Warps:
