@@ -18,6 +18,7 @@ import numpy as np
 from calib.geometry import PER_POSE, Intrinsics, Pose, cross, cross_matrix
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Bools, Floats, Ints
+from calib.refinement import moved_device
 
 PER_DEVICE, PER_BEND = 9, 7
 PER_FLEX = 3
@@ -27,7 +28,6 @@ ROTATION, DIRECTION, LENGTH = slice(18, 21), slice(21, 23), 23
 POSE, BEND = slice(18, 24), slice(24, 31)
 SHARED = 31
 FOCAL, ASPECT, CENTRE, LENS = 0, 1, slice(2, 4), slice(4, 9)  # columns of a device
-_ROW = 2  # y_0's column of one with square pixels
 # Columns of log focal length and principal point of camera and projector.
 INTRINSIC_COLUMNS = [0, 2, 3, 9, 11, 12]
 
@@ -90,8 +90,8 @@ class State:
         """The state after a step (size,)."""
         return replace(
             self,
-            camera=_moved_device(self.camera, step[CAMERA]),
-            projector=_moved_device(self.projector, step[PROJECTOR]),
+            camera=moved_device(self.camera, step[CAMERA]),
+            projector=moved_device(self.projector, step[PROJECTOR]),
             pose=self.pose.retract_baseline(step[POSE]),
             bend=self.bend + step[BEND],
             boards=tuple(board.moved(step[self.board_columns(i)]) for i, board in enumerate(self.boards)),
@@ -152,7 +152,7 @@ def predict_corners(state: State, points: Floats, view: int) -> tuple[Floats, Fl
     board = state.boards[view].pose
     turned = _turned(board, points, heights)
     seen = turned + board.translation
-    pixels, by_point, by_device = _project(state.camera, seen)
+    pixels, by_point, by_device = lens.project(state.camera, seen)
     jacobian = _by_board(board, by_point, turned, by_bend)
     jacobian[:, :, CAMERA] = by_device
     return pixels, jacobian, seen[:, 2]
@@ -160,7 +160,7 @@ def predict_corners(state: State, points: Floats, view: int) -> tuple[Floats, Fl
 
 def predict_matches(state: State, camera_px: Floats, view: int) -> tuple[Floats, Floats, Floats]:
     """Where camera pixels (N, 2) on a board fall in the projector, (N, 2); Jacobian (N, 2, 40); depths (N, 2)."""
-    rays, rays_by_camera = _unproject(state.camera, camera_px)
+    rays, rays_by_camera = rays_of(state.camera, camera_px), lens.unproject(state.camera, camera_px)[1][:, :2]
     met = meet(state, rays, view)
     heights, slopes, by_bend = surface(state, met, view)
     board, pose = state.boards[view].pose, state.pose
@@ -168,7 +168,7 @@ def predict_matches(state: State, camera_px: Floats, view: int) -> tuple[Floats,
     seen = on_board + board.translation
     turned = pose.rotate(seen)
     moved = turned + pose.translation
-    pixels, by_moved, by_device = _project(state.projector, moved)
+    pixels, by_moved, by_device = lens.project(state.projector, moved)
     # The point stays on its ray while the rest moves, d(X/Z) = dr, because it also moves along the board.
     along = board.rotation[:, :2] + slopes[:, None, :] * board.rotation[:, 2:]  # (N, 3, 2)
     by_seen, off_ray = by_moved @ pose.rotation, _by_point(seen)
@@ -218,7 +218,7 @@ def is_seen(device: Floats, points: Floats, size: tuple[int, int]) -> Bools:
     """Whether points (N, 3) in a device's frame are in its picture."""
     pixels = np.full((len(points), 2), np.nan)
     ahead = points[:, 2] > 0
-    pixels[ahead] = _project(device, points[ahead])[0]
+    pixels[ahead] = lens.project(device, points[ahead])[0]
     # A lens model that folds back maps points far outside into the picture; their rays are invalid.
     rays = rays_of(device, pixels)
     same = np.linalg.norm(rays - points[:, :2] / points[:, 2:], axis=1) < 1e-6
@@ -229,34 +229,8 @@ def is_seen(device: Floats, points: Floats, size: tuple[int, int]) -> Bools:
 def project_rays(device: Floats, rays: Floats) -> tuple[Floats, Floats]:
     """Derivatives of the pixels of rays (N, 2) by a rotation of the device (N, 2, 3) and by its columns (N, 2, 9)."""
     points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
-    _, by_point, by_device = _project(device, points)
+    _, by_point, by_device = lens.project(device, points)
     return -by_point @ cross_matrix(points), by_device
-
-
-def _unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
-    """Ideal points (N, 2), NaN where there is none, and their derivatives (N, 2, 9) by the device."""
-    aspect, centre = device[ASPECT], device[CENTRE]
-    square = centre + (pixels - centre) / (1.0, aspect)
-    _, by_square = lens.unproject(_with_square_pixels(device), square)
-    by_aspect = by_square[:, :2, _ROW] * (square - centre)[:, 1:]
-    by_square[:, :, _ROW] /= aspect
-    return rays_of(device, pixels), np.insert(by_square[:, :2], ASPECT, by_aspect, axis=2)
-
-
-def _project(device: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Pixels (N, 2), their derivatives (N, 2, 3) by the point and (N, 2, 9) by the device."""
-    aspect, centre = device[ASPECT], device[CENTRE]
-    square, by_point, by_square = lens.project(_with_square_pixels(device), points)
-    offset = (square - centre) * (1.0, aspect)
-    by_point[:, 1] *= aspect
-    by_square[:, 1] *= aspect
-    by_square[:, 1, _ROW] = 1.0
-    return centre + offset, by_point, np.insert(by_square, ASPECT, offset * (0.0, 1.0), axis=2)
-
-
-def _with_square_pixels(device: Floats) -> Floats:
-    """The device (8,) whose y, from the principal point, are f_x / f_y times those of a device (9,)."""
-    return np.delete(device, ASPECT)
 
 
 def _solved(matrices: Floats, values: Floats) -> Floats:
@@ -291,9 +265,3 @@ def _by_board(board: Pose, by_point: Floats, turned: Floats, by_bend: Floats) ->
     by_columns[:, :, SHARED + 3 : SHARED + PER_POSE] = board.distance * by_point
     by_columns[:, :, SHARED + PER_POSE :] = by_columns[:, :, BEND.start : BEND.start + PER_FLEX]
     return by_columns
-
-
-def _moved_device(device: Floats, step: Floats) -> Floats:
-    moved: Floats = device + step
-    moved[:2] = device[:2] * np.exp(step[:2])
-    return moved

@@ -3,7 +3,7 @@
 A lens moves the ideal image point x, in units of the focal length, to x (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms
 in p1, p2, with r = |x| (Brown 1971; signs and order k1, k2, p1, p2, k3 as in OpenCV).
 
-Devices are (8,): f, x_0, y_0, k1, k2, p1, p2, k3.
+Devices are (8,): f, x_0, y_0, k1, k2, p1, p2, k3; or (9,), with f_y / f_x after f, whose column is its logarithm.
 """
 
 import numpy as np
@@ -55,16 +55,16 @@ def distort_steps(ideal: Floats, steps: Floats, distortion: Distortion) -> tuple
 
 
 def unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
-    """Rays (N, 3) at z = 1 and their derivatives (N, 3, 8) by log f, x_0, y_0, k1, k2, p1, p2, k3."""
-    rays, by_device = np.empty((len(pixels), 3)), np.zeros((len(pixels), 3, PER_DEVICE))
+    """Rays (N, 3) at z = 1 and their derivatives (N, 3, 8) by log f, x_0, y_0, k1, k2, p1, p2, k3, or (N, 3, 9)."""
+    rays, by_device = np.empty((len(pixels), 3)), np.zeros((len(pixels), 3, len(device)))
     unproject_into(device, np.ascontiguousarray(pixels, np.float64), rays, by_device)
     return rays, by_device
 
 
 def project(device: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Pixels (N, 2), their derivatives (N, 2, 3) by the point and (N, 2, 8) by the device, as in `unproject`."""
+    """Pixels (N, 2), their derivatives (N, 2, 3) by the point and (N, 2, 8 or 9) by the device, as in `unproject`."""
     count = len(points)
-    pixels, by_point, by_device = np.empty((count, 2)), np.empty((count, 2, 3)), np.zeros((count, 2, PER_DEVICE))
+    pixels, by_point, by_device = np.empty((count, 2)), np.empty((count, 2, 3)), np.zeros((count, 2, len(device)))
     project_into(device, np.ascontiguousarray(points, np.float64), pixels, by_point, by_device)
     return pixels, by_point, by_device
 
@@ -170,10 +170,13 @@ def _distort_steps(ideal: Floats, steps: Floats, distortion: Distortion, distort
 @compiled
 def unproject_into(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) -> None:
     """`unproject`, into empty `rays` and zeros."""
-    focal, x_0, y_0, k1, k2, p1, p2, k3 = device
+    after = len(device) - PER_DEVICE  # the column after that of f, or of the aspect
+    focal, focal_y = device[0], device[0] * device[1] if after else device[0]
+    x_0, y_0, k1, k2, p1, p2, k3 = device[1 + after :]
+    by_rest = by_device[:, :, 1 + after :]
     for i in range(len(pixels)):
         # Distorted, in units of the focal length: u = (pixel − centre) / f.
-        u, v = (pixels[i, 0] - x_0) / focal, (pixels[i, 1] - y_0) / focal
+        u, v = (pixels[i, 0] - x_0) / focal, (pixels[i, 1] - y_0) / focal_y
         x, y = _ideal(u, v, (k1, k2, p1, p2, k3))
         rays[i, 0], rays[i, 1], rays[i, 2] = x, y, 1.0
 
@@ -181,41 +184,49 @@ def unproject_into(device: Floats, pixels: Floats, rays: Floats, by_device: Floa
         r2 = x * x + y * y
         _, _, a, b, d = distorted_point(x, y, (k1, k2, p1, p2, k3))
         inverse = 1.0 / (a * d - b * b)
+        by_device[i, 0, 0], by_device[i, 1, 0] = (b * v - d * u) * inverse, (b * u - a * v) * inverse
         for column, du, dv in (
-            (0, -u, -v),
-            (1, -1 / focal, 0.0),
-            (2, 0.0, -1 / focal),
-            (3, -x * r2, -y * r2),
-            (4, -x * r2 * r2, -y * r2 * r2),
-            (5, -2.0 * x * y, -(r2 + 2.0 * y * y)),
-            (6, -(r2 + 2.0 * x * x), -2.0 * x * y),
-            (7, -x * r2 * r2 * r2, -y * r2 * r2 * r2),
+            (0, -1 / focal, 0.0),
+            (1, 0.0, -1 / focal_y),
+            (2, -x * r2, -y * r2),
+            (3, -x * r2 * r2, -y * r2 * r2),
+            (4, -2.0 * x * y, -(r2 + 2.0 * y * y)),
+            (5, -(r2 + 2.0 * x * x), -2.0 * x * y),
+            (6, -x * r2 * r2 * r2, -y * r2 * r2 * r2),
         ):
-            by_device[i, 0, column] = (d * du - b * dv) * inverse
-            by_device[i, 1, column] = (a * dv - b * du) * inverse
+            by_rest[i, 0, column] = (d * du - b * dv) * inverse
+            by_rest[i, 1, column] = (a * dv - b * du) * inverse
+        if after:  # a longer f_y moves the point as a lower centre does
+            for k in range(2):
+                by_device[i, k, 1] = by_rest[i, k, 1] * (pixels[i, 1] - y_0)
 
 
 @compiled
 def project_into(device: Floats, points: Floats, pixels: Floats, by_point: Floats, by_device: Floats) -> None:
     """`project`, into empty `pixels` and `by_point`, and zeros."""
-    focal, x_0, y_0, k1, k2, p1, p2, k3 = device
+    after = len(device) - PER_DEVICE
+    focal, focal_y = device[0], device[0] * device[1] if after else device[0]
+    x_0, y_0, k1, k2, p1, p2, k3 = device[1 + after :]
     for i in range(len(points)):
         z = points[i, 2]
         x, y = points[i, 0] / z, points[i, 1] / z
         r2 = x * x + y * y
         u, v, a, b, d = distorted_point(x, y, (k1, k2, p1, p2, k3))
-        pixels[i, 0], pixels[i, 1] = focal * u + x_0, focal * v + y_0
+        pixels[i, 0], pixels[i, 1] = focal * u + x_0, focal_y * v + y_0
         # dx = (dX − x dZ) / Z
-        scale = focal / z
-        by_point[i, 0, 0], by_point[i, 0, 1], by_point[i, 0, 2] = scale * a, scale * b, -scale * (a * x + b * y)
-        by_point[i, 1, 0], by_point[i, 1, 1], by_point[i, 1, 2] = scale * b, scale * d, -scale * (b * x + d * y)
-        by_device[i, 0, 0], by_device[i, 1, 0] = focal * u, focal * v
-        by_device[i, 0, 1], by_device[i, 1, 2] = 1.0, 1.0
-        by_device[i, 0, 3], by_device[i, 1, 3] = focal * x * r2, focal * y * r2
-        by_device[i, 0, 4], by_device[i, 1, 4] = focal * x * r2 * r2, focal * y * r2 * r2
-        by_device[i, 0, 5], by_device[i, 1, 5] = focal * 2.0 * x * y, focal * (r2 + 2.0 * y * y)
-        by_device[i, 0, 6], by_device[i, 1, 6] = focal * (r2 + 2.0 * x * x), focal * 2.0 * x * y
-        by_device[i, 0, 7], by_device[i, 1, 7] = focal * x * r2 * r2 * r2, focal * y * r2 * r2 * r2
+        across, down = focal / z, focal_y / z
+        by_point[i, 0, 0], by_point[i, 0, 1], by_point[i, 0, 2] = across * a, across * b, -across * (a * x + b * y)
+        by_point[i, 1, 0], by_point[i, 1, 1], by_point[i, 1, 2] = down * b, down * d, -down * (b * x + d * y)
+        by_device[i, 0, 0], by_device[i, 1, 0] = focal * u, focal_y * v
+        if after:
+            by_device[i, 1, 1] = focal_y * v
+        by_x, by_y = by_device[i, 0, 1 + after :], by_device[i, 1, 1 + after :]
+        by_x[0], by_y[1] = 1.0, 1.0
+        by_x[2], by_y[2] = focal * x * r2, focal_y * y * r2
+        by_x[3], by_y[3] = focal * x * r2 * r2, focal_y * y * r2 * r2
+        by_x[4], by_y[4] = focal * 2.0 * x * y, focal_y * (r2 + 2.0 * y * y)
+        by_x[5], by_y[5] = focal * (r2 + 2.0 * x * x), focal_y * 2.0 * x * y
+        by_x[6], by_y[6] = focal * x * r2 * r2 * r2, focal_y * y * r2 * r2 * r2
 
 
 @inlined

@@ -293,9 +293,10 @@ def _planes(state: State, capture: int) -> tuple[Floats, Floats, Floats, Floats]
 
 
 def moved_device(device: Floats, step: Floats) -> Floats:
-    """A device (8,) after a step (8,) in the columns of a device."""
+    """A device (8,), or (9,) with an aspect, after a step in the columns of a device."""
     moved: Floats = device + step
-    moved[0] = device[0] * np.exp(step[0])
+    ratios = slice(1 + len(device) - PER_DEVICE)
+    moved[ratios] = device[ratios] * np.exp(step[ratios])
     return moved
 
 
