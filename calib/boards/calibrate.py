@@ -29,11 +29,10 @@ from calib.boards.parameters import (
     ROTATION,
     PlacedBoard,
     State,
-    intrinsics_of,
 )
 from calib.boards.starts import best_first, rough_levels, starts
 from calib.finding import Finding, FindingKind, Severity
-from calib.geometry import Calibration, DeviceSigmas, Sigmas, Size
+from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas, Size
 from calib.refinement import ORDINARY_LENSES, LensPrior
 from calib.refusal import RefusalError
 
@@ -235,8 +234,8 @@ def calibration_from(found: Estimate, camera_size: Size, projector_size: Size, u
         known_baseline=float(sigma[LENGTH]) * state.pose.distance,
     )
     return Calibration(
-        intrinsics_of(state.camera, camera_size),
-        intrinsics_of(state.projector, projector_size),
+        Intrinsics.of_device(state.camera, camera_size),
+        Intrinsics.of_device(state.projector, projector_size),
         state.pose,
         unit,
         sigmas,

@@ -127,12 +127,6 @@ def device_of(intrinsics: Intrinsics) -> Floats:
     return np.array([fx, fy / fx, *centre, *intrinsics.distortion])
 
 
-def intrinsics_of(device: Floats, size: tuple[int, int]) -> Intrinsics:
-    """A device (9,) of a size (width, height)."""
-    f, aspect, x0, y0, k1, k2, p1, p2, k3 = (float(value) for value in device)
-    return Intrinsics(*size, (f, f * aspect), (x0, y0), (k1, k2, p1, p2, k3))
-
-
 def surface(state: State, points: Floats, view: int) -> tuple[Floats, Floats, Floats]:
     """Heights (N,) of a board's points (N, 2), their slopes (N, 2) and derivatives by the bend (N, 7)."""
     bend = state.bend_of(view)

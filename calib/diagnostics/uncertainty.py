@@ -132,7 +132,10 @@ def calibration_of(
 ) -> Calibration:
     """A state's devices and motion as a calibration in baselines."""
     return Calibration(
-        _intrinsics(camera_size, state.camera), _intrinsics(projector_size, state.projector), state.pose, sigma=sigma
+        Intrinsics.of_device(state.camera, camera_size),
+        Intrinsics.of_device(state.projector, projector_size),
+        state.pose,
+        sigma=sigma,
     )
 
 
@@ -172,8 +175,3 @@ def sigmas_of(state: State, covariance: Floats) -> Sigmas:
 def _device_sigmas(device: Floats, sigma: Floats) -> DeviceSigmas:
     log_focal, x0, y0, *terms = (float(value) for value in sigma)
     return DeviceSigmas((float(device[0]) * log_focal,) * 2, (x0, y0), tuple(terms))
-
-
-def _intrinsics(size: tuple[int, int], device: Floats) -> Intrinsics:
-    focal, x0, y0, k1, k2, p1, p2, k3 = (float(value) for value in device)
-    return Intrinsics(*size, (focal, focal), (x0, y0), (k1, k2, p1, p2, k3))

@@ -56,6 +56,12 @@ class Intrinsics:
         if not min(self.focal_px) > 0:
             raise ValueError(f"focal lengths must be positive, found {self.focal_px}")
 
+    @classmethod
+    def of_device(cls, device: Floats, size: tuple[int, int]) -> "Intrinsics":
+        """From the columns of a device, (8,) or (9,) as in `radial_distortion`, and its size (width, height)."""
+        focal, *aspect, x0, y0, k1, k2, p1, p2, k3 = device.tolist()
+        return cls(*size, (focal, focal * aspect[0] if aspect else focal), (x0, y0), (k1, k2, p1, p2, k3))
+
     @property
     def size(self) -> Size:
         """Of the device's image."""

@@ -75,9 +75,7 @@ class NetworkEstimate:
 
     def intrinsics(self, name: str) -> Intrinsics:
         """Of one of the devices."""
-        focal, x0, y0, *terms = (float(value) for value in self.device(name).lens)
-        k1, k2, p1, p2, k3 = terms
-        return Intrinsics(*self.sizes[name], (focal, focal), (x0, y0), (k1, k2, p1, p2, k3))
+        return Intrinsics.of_device(self.device(name).lens, self.sizes[name])
 
     def sigmas(self, name: str) -> Floats:
         """Standard deviations (14,) of log f, x_0, y_0 in px, k1, k2, p1, p2, k3, turn in radians, and translation."""

@@ -10,11 +10,10 @@ from calib.boards.parameters import (
     PlacedBoard,
     State,
     device_of,
-    intrinsics_of,
     predict_corners,
     predict_matches,
 )
-from calib.geometry import Pose, rotation_about
+from calib.geometry import Intrinsics, Pose, rotation_about
 from calib.synthetic import random_boards
 
 
@@ -62,5 +61,5 @@ def test_the_model_predicts_the_pixels_of_a_synthetic_board(seed: int) -> None:
     for i, view in enumerate(boards.views):
         assert np.abs(predict_corners(state, view.points, i)[0] - view.corners_px).max() < 1e-8
         assert np.abs(predict_matches(state, view.matches.camera_px, i)[0] - view.matches.projector_px).max() < 1e-6
-    assert intrinsics_of(state.camera, rig.camera.size) == rig.camera
+    assert Intrinsics.of_device(state.camera, rig.camera.size) == rig.camera
     assert state.size == SHARED + 9 * len(placed)
