@@ -2,16 +2,18 @@
 
 import ast
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from numba import njit
+from numba.core import config
 
 from calib.numerics import Floats, in_pieces
-from calib.numerics.code_cache import _sources
 from calib.numerics.jit import compiled, when_compiling
+from calib.numerics.machine_code import _sources
 from calib.registration.projection import add_patches
 from tests.support.places import ROOT
 
@@ -90,9 +92,10 @@ def test_an_imported_constant_is_found() -> None:
     assert borrowed(source) == ["STEP"]
 
 
-def test_compiling_is_announced_once() -> None:
+def test_compiling_is_announced_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
     told: list[str] = []
     when_compiling(lambda: told.append("compiling"))
     for _ in range(2):
-        njit(lambda number: number + 1)(1)
+        compiled(lambda number: number + 1)(1)
     assert told == ["compiling"]

@@ -1,4 +1,6 @@
-"""Cache for the machine code of compiled functions: in the user's cache folder, keyed by its dependencies.
+"""Machine code of compiled functions by Numba, and its cache: in the user's cache folder, keyed by its dependencies.
+
+What loads this module loads Numba: `jit.py` does, when a compiled function is called for the first time.
 
 The cache is not next to the sources: a package may be installed in a read-only place, and removing a copy of it would
 leave folders that contain only machine code, which Python takes for packages.
@@ -25,12 +27,53 @@ import llvmlite.binding
 import numba
 import numpy as np
 import platformdirs
-from numba.core import caching, config, sigutils
+from numba.core import caching, config, event, sigutils
+from numba.extending import typeof_impl
+
+from calib.numerics.jit import Compiled
 
 log = logging.getLogger(__name__)
 
+# Allows reordered sums and fused multiply-add; infinities and NaN keep their meaning.
+_ARITHMETIC = ("contract", "nsz", "reassoc")
+
 # Machine code unused for this long is deleted; use is recorded by the day.
 _KEPT_S, _DAY_S = 60 * 86400.0, 86400.0
+
+
+def dispatcher_of(function: Callable[..., object], *, inline: bool) -> Any:
+    """Numba's function, which compiles `function` for each combination of types that its cache does not have."""
+    options = f"{_ARITHMETIC} numpy {'inlined' if inline else ''}"
+    fast = numba.njit(nogil=True, fastmath=set(_ARITHMETIC), error_model="numpy", forceinline=inline)(function)
+    if not config.DISABLE_JIT:
+        with suppress(OSError):  # no source, or no folder to keep machine code in
+            setattr(fast, "_cache", MachineCode(function, options))  # noqa: B010, the type has none
+    return fast
+
+
+@typeof_impl.register(Compiled)
+def _type_of(function: Compiled, context: object) -> object:
+    """The type that Numba gives to a compiled function that another one calls."""
+    return typeof_impl(function.dispatcher, context)
+
+
+def announce(announcements: list[Callable[[], None]]) -> None:
+    """Call each of `announcements`, which leave the list, once: when something has to be compiled."""
+    while announcements:
+        event.register("numba:compile", _First(announcements.pop()))  # type: ignore[no-untyped-call]
+
+
+class _First(event.Listener):
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell: Callable[[], None] | None = tell
+
+    def on_start(self, _event: event.Event) -> None:
+        tell, self._tell = self._tell, None
+        if tell is not None:
+            tell()
+
+    def on_end(self, _event: event.Event) -> None:
+        """Do nothing: the call was made at the start."""
 
 
 class MachineCode(caching.FunctionCache):  # type: ignore[misc]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from numba.core import config
 
-from calib.numerics import code_cache
+from calib.numerics import machine_code
 from tests.support.places import ROOT
 
 SOURCE = """
@@ -43,13 +43,13 @@ def caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def run(program: Path) -> tuple[float, bool]:
     """The result for 1 in a new process, and whether the function was compiled."""
-    for remembered in (code_cache._digest, code_cache._note_use, code_cache._forget_unused):
+    for remembered in (machine_code._digest, machine_code._note_use, machine_code._forget_unused):
         remembered.cache_clear()
     spec = spec_from_file_location("loops", program)
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     found = module.shifted(1.0)
-    return found, not module.shifted.stats.cache_hits
+    return found, not module.shifted.dispatcher.stats.cache_hits
 
 
 def kept(caches: Path) -> list[Path]:
@@ -74,9 +74,9 @@ def test_code_is_cached_per_option_version_and_processor(
     program: Path, caches: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(program)
-    monkeypatch.setattr("calib.numerics.jit._ARITHMETIC", ("contract",))
+    monkeypatch.setattr("calib.numerics.machine_code._ARITHMETIC", ("contract",))
     assert run(program) == (2.0, True)
-    monkeypatch.setattr(code_cache, "_machine", lambda: "another one")
+    monkeypatch.setattr(machine_code, "_machine", lambda: "another one")
     assert run(program) == (2.0, True)
     assert len({path.parent for path in kept(caches)}) == 3
 
