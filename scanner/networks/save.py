@@ -195,7 +195,15 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Mer
         files=files_beside(path, NETWORK),
         verdict=verdict,
         provenance=provenance(path.parent, config),
-        subtitle=f"{len(cameras)} cameras, {len(network.surfaces)} projectors, {len(cloud.points):,} points.",
+        subtitle=", ".join(
+            _counted(*counted)
+            for counted in (
+                (len(cameras), "camera"),
+                (len(network.surfaces), "projector"),
+                (len(cloud.points), "point"),
+            )
+        )
+        + ".",
         devices=rows,
         walls=bool(estimate.network.planes),
         graph=network_graph([PairProgress.of(pair, capture) for pair, capture in network.captures.decoded.items()]),
@@ -207,3 +215,8 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Mer
 def _view(cloud: MergedCloud) -> PageImage:
     seen = render(cloud, view_along(np.array([0.5, 0.5, 1.0]), _UP), _VIEW, [])
     return picture(seen, "the network's cloud, oblique view", caption="Obliquely from above.")
+
+
+def _counted(number: int, noun: str) -> str:
+    """A number of what `noun` names."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
