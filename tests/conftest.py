@@ -50,6 +50,14 @@ _FLAGS = (
 gc.set_threshold(10_000)
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups; folders' own are told earlier
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run the tests of a file in one process, as far as they belong to no other group: what they share is made once."""
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.location[0]))
+
+
 def pytest_collection_finish() -> None:
     """Let the garbage collector leave out the modules and tests, which stay to the end."""
     gc.freeze()

@@ -27,6 +27,7 @@ class SolvedExample:
     config: Config
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Run these tests in one process, which solves the example once."""
     for item in items:
