@@ -293,7 +293,7 @@ def _normals(points: Floats, tree: "cKDTree[None]", most: int) -> Floats:
     _, neighbours = tree.query(points, count)
     around = points[np.asarray(neighbours)]
     around = around - around.mean(axis=1, keepdims=True)
-    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
+    spread, axes = np.linalg.eigh(around.transpose(0, 2, 1) @ around)
     flat = np.sqrt(np.maximum(spread[:, 0], 0.0)) < _FLAT * np.sqrt(np.maximum(spread[:, 1], 0.0))
     return np.where(flat[:, None], axes[:, :, 0], np.nan)
 

@@ -21,6 +21,7 @@ from hw.simulated.texture import Texture
 
 _CAMERA_VIGNETTING = 0.15
 _OPPOSITE_WALL = 3
+_BESIDE = 2  # pixels within which a corner of a board, however it is turned, has the centre of one
 _STRIP_PIXELS = 1 << 14  # small enough for its arrays to stay in cache
 
 
@@ -107,16 +108,20 @@ class FootprintCaster:
             )
         else:
             room = bare.of(slice(rows.start * width, rows.stop * width))
-        return room if self.board is None else self._with_board(room, self.board, centres, within)
+        if self.board is None:
+            return room
+        return self._with_board(room, self.board, centres, self._near_board(rows, self.board), within)
 
-    def _with_board(self, room: Footprints, board: SimulatedBoard, centres: Floats, within: Floats) -> Footprints:
-        """The same footprints with the board in front. Every pixel gets `samples` × `samples` rays."""
+    def _with_board(
+        self, room: Footprints, board: SimulatedBoard, centres: Floats, near: Indices, within: Floats
+    ) -> Footprints:
+        """The same footprints with the board in front. Pixels `near` it get `samples` × `samples` rays."""
         per_pixel = self.samples**2
-        pixels = (centres[:, :, None] + within).reshape(2, -1)
+        pixels = (centres[:, near, None] + within).reshape(2, -1)
         uv, hit = board.intersect(self.camera.centre, self.camera.rays(pixels))
         struck = np.flatnonzero(hit)
         uv = uv[:, struck]
-        points, pixel = board.points(uv), struck // per_pixel
+        points, pixel = board.points(uv), near[struck // per_pixel]
         gain = board.albedo(uv) * self.camera.optics.vignetting(pixels[:, struck], _CAMERA_VIGNETTING)
         projected, irradiance = self.light.unoccluded(points, board.normals(uv))
         texels, weights = self.picture.interpolate(projected[:, irradiance > 0])
@@ -124,6 +129,15 @@ class FootprintCaster:
         weights *= (gain[lit] * irradiance[lit] / per_pixel)[:, None]
         direct = sparse_matrix(pixel[lit], texels, weights, (centres.shape[1], self.picture.fine_count))
         return Footprints(*with_board((room.direct, room.indirect), pixel, gain, direct, per_pixel))
+
+    def _near_board(self, rows: range, board: SimulatedBoard) -> Indices:
+        """Pixels of some rows of which any part may see the board: the centre of one beside them does."""
+        wider = range(rows.start - _BESIDE, rows.stop + _BESIDE)
+        width = self.camera.optics.width + 2 * _BESIDE
+        centres = _pixel_centres(wider, width) - [[_BESIDE], [0.0]]
+        _, hit = board.intersect(self.camera.centre, self.camera.rays(centres))
+        near = ndimage.maximum_filter(hit.reshape(len(wider), width), 2 * _BESIDE + 1)
+        return np.flatnonzero(near[_BESIDE:-_BESIDE, _BESIDE:-_BESIDE])
 
     def _detailed(self, rows: range) -> Bools:
         """Pixels that may see several surfaces or the projector's light, (pixels,), judged by their neighbours."""
