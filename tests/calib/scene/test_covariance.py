@@ -10,7 +10,7 @@ from calib.scene.residuals import Residuals, residuals_of
 from calib.self_calibration import PrincipalPoint
 from tests.support.things import PROJECTOR, ThingStation, turned_stations
 
-CAMERA_SIZE = (612, 512)
+CAMERA_SIZE = (459, 384)
 
 
 def calibrated(stations: list[ThingStation]) -> SceneCalibration:
