@@ -51,10 +51,12 @@ def dispatcher_of(function: Callable[..., object], *, inline: bool) -> Any:
     return fast
 
 
-@typeof_impl.register(Compiled)
 def _type_of(function: Compiled, context: object) -> object:
     """The type that Numba gives to a compiled function that another one calls."""
     return typeof_impl(function.dispatcher, context)
+
+
+typeof_impl.register(Compiled, _type_of)
 
 
 def announce(announcements: list[Callable[[], None]]) -> None:
