@@ -100,7 +100,7 @@ bytecode: $(VENV)/.dev
 
 # Two processes more than there are processors: tests of devices, pages and workers mostly wait.
 unit: $(VENV)/.dev $(VENV)/.compiled
-	$(BIN)/pytest -n $$(($$(getconf _NPROCESSORS_ONLN) + 2)) --dist loadgroup
+	$(BIN)/pytest -n $$(($$(getconf _NPROCESSORS_ONLN) + 2)) --dist loadgroup --no-loadscope-reorder
 
 benchmark: $(VENV)/.dev try-rig
 	@for file in benchmarks/bench_*.py; do \

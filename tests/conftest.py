@@ -31,6 +31,7 @@ settings.register_profile("random", deadline=None, print_blob=True)
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.load_profile("same")
 
+_LONGEST = ("loopback", "browser")  # groups of tests
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 # In software, and talking to nobody.
 _FLAGS = (
@@ -52,10 +53,14 @@ gc.set_threshold(10_000)
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups; folders' own are told earlier
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run the tests of a file in one process, as far as they belong to no other group: what they share is made once."""
+    """Run the tests of a file in one process, as far as they belong to no other group: what they share is made once.
+
+    Groups that take longest begin first: at the end, no process is to wait for one of them.
+    """
     for item in items:
         if item.get_closest_marker("xdist_group") is None:
             item.add_marker(pytest.mark.xdist_group(item.location[0]))
+    items.sort(key=lambda item: not any(mark.args[0] in _LONGEST for mark in item.iter_markers("xdist_group")))
 
 
 def pytest_collection_finish() -> None:
