@@ -20,11 +20,8 @@ from calib.boards.estimate import Estimate, estimate
 from calib.boards.likelihood import BoardFit, BoardView, Prior, board_problem, device_prior
 from calib.boards.parameters import (
     CAMERA,
-    CENTRE,
     DIRECTION,
-    FOCAL,
     LENGTH,
-    LENS,
     PROJECTOR,
     ROTATION,
     PlacedBoard,
@@ -227,8 +224,8 @@ def calibration_from(found: Estimate, camera_size: Size, projector_size: Size, u
     state, sigma = found.state, np.sqrt(found.covariance.diagonal())
     turn = np.degrees(sigma[ROTATION])
     sigmas = Sigmas(
-        _device_sigmas(found, CAMERA),
-        _device_sigmas(found, PROJECTOR),
+        DeviceSigmas.of_device(state.camera, found.covariance[CAMERA, CAMERA]),
+        DeviceSigmas.of_device(state.projector, found.covariance[PROJECTOR, PROJECTOR]),
         (float(turn[0]), float(turn[1]), float(turn[2])),
         float(np.degrees(np.hypot(*sigma[DIRECTION]))),
         known_baseline=float(sigma[LENGTH]) * state.pose.distance,
@@ -239,21 +236,6 @@ def calibration_from(found: Estimate, camera_size: Size, projector_size: Size, u
         state.pose,
         unit,
         sigmas,
-    )
-
-
-def _device_sigmas(found: Estimate, columns: slice) -> DeviceSigmas:
-    device = found.state.camera if columns == CAMERA else found.state.projector
-    covariance = found.covariance[columns, columns]
-    along_y = np.array([1.0, 1.0]) @ covariance[:2, :2] @ np.array([1.0, 1.0])  # of log f_y = log f_x + log aspect
-    focals = float(device[FOCAL]) * np.sqrt([covariance[FOCAL, FOCAL], along_y])
-    sigma = np.sqrt(covariance.diagonal())
-    centre = sigma[CENTRE]
-    same = device[1] == 1.0
-    return DeviceSigmas(
-        (float(focals[0]), float(focals[0] if same else device[1] * focals[1])),
-        (float(centre[0]), float(centre[1])),
-        tuple(float(value) for value in sigma[LENS]),
     )
 
 

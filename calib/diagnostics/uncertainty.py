@@ -164,14 +164,9 @@ def sigmas_of(state: State, covariance: Floats) -> Sigmas:
     sigma = np.sqrt(np.diag(covariance))
     rotation, angles = (np.degrees(sigma[columns]) for columns in (ROTATION, state.angle_columns(0)))
     return Sigmas(
-        _device_sigmas(state.camera, sigma[CAMERA]),
-        _device_sigmas(state.projector, sigma[PROJECTOR]),
+        DeviceSigmas.of_device(state.camera, covariance[CAMERA, CAMERA]),
+        DeviceSigmas.of_device(state.projector, covariance[PROJECTOR, PROJECTOR]),
         (float(rotation[0]), float(rotation[1]), float(rotation[2])),
         float(np.degrees(np.hypot(*sigma[TRANSLATION]))),
         (float(angles[0]), float(angles[1]), float(angles[2])) if len(state.off_square) else None,
     )
-
-
-def _device_sigmas(device: Floats, sigma: Floats) -> DeviceSigmas:
-    log_focal, x0, y0, *terms = (float(value) for value in sigma)
-    return DeviceSigmas((float(device[0]) * log_focal,) * 2, (x0, y0), tuple(terms))

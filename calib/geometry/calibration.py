@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.geometry.camera import Intrinsics, Size
 from calib.geometry.pose import Pose
+from calib.geometry.radial_distortion import PER_DEVICE
 from calib.numerics import Floats
 
 
@@ -16,6 +17,15 @@ class DeviceSigmas:
     focal_px: tuple[float, float] | None = None
     principal_point_px: tuple[float, float] | None = None
     distortion: tuple[float, ...] | None = None
+
+    @classmethod
+    def of_device(cls, device: Floats, covariance: Floats) -> "DeviceSigmas":
+        """Those of `Intrinsics.of_device`, from the covariance (8, 8) or (9, 9) of a device's columns."""
+        ratios = slice(1 + len(device) - PER_DEVICE)  # log f, log f_y / f_x
+        x0, y0, *terms = np.sqrt(covariance.diagonal())[ratios.stop :].tolist()
+        along_x, along_y = np.sqrt([covariance[0, 0], covariance[ratios, ratios].sum()]).tolist()
+        focal_px = float(device[0]) * along_x, float(np.prod(device[ratios])) * along_y
+        return cls(focal_px, (x0, y0), tuple(terms))
 
 
 @dataclass(frozen=True)
