@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from calib.geometry import Size
-from calib.self_calibration import PrincipalPoint
+from calib.refinement import PrincipalPoint
 from hw.backends import RigSettings
 from hw.settings import CameraRigSettings, Settings, without_passwords
 from scanner.configuration.cloud_steps import CloudSettings
