@@ -46,6 +46,8 @@ _VARYING = [
         # When it was made, in ISO format, in a report, in a log; modules, which the log names, are moved.
         (r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} (\w+) [\w.]+:", r"\1:"),
         (r"\d{4}-\d\d-\d\d(?:T|, | )\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?: UTC|\+00:00|Z)?", "DATE"),
+        # Where a refusal was raised, in a log: in which checkout, at which line.
+        (r'^  File ".*", line \d+, in .*\n(?:    .*\n)*', ""),
         # The folder in which a case runs, in a batch's table.
         (r"(?<![\w./+=-])/[\w./-]*/\.partial-\w+/[\w.-]+/", ""),
         # How long a check watched the rig, and what a batch took.

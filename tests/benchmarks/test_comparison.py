@@ -117,6 +117,27 @@ def test_times_are_no_differences(tmp_path: Path) -> None:
     assert list(folder_differences(before, after, TOLERANCE)) == []
 
 
+def refused(folder: Path, checkout: str, reason: str) -> Path:
+    """A result folder with the log of a refusal."""
+    folder.mkdir()
+    frames = "".join(
+        f'  File "{checkout}/calib/{name}.py", line {len(checkout)}, in solve\n    {name}()\n' for name in "ab"
+    )
+    (folder / "scan.log").write_text(
+        f"ERROR: refused\nTraceback (most recent call last):\n{frames}RefusalError: {reason}\n"
+    )
+    return folder
+
+
+def test_where_a_refusal_was_raised_is_no_difference_but_its_reason_is(tmp_path: Path) -> None:
+    before, after = refused(tmp_path / "before", "/old", "dark"), refused(tmp_path / "after", "/newer", "dark")
+    assert list(folder_differences(before, after, TOLERANCE)) == []
+    other = refused(tmp_path / "other", "/old", "bright")
+    assert list(folder_differences(before, other, TOLERANCE)) == [
+        "scan.log: “RefusalError: dark” is now “RefusalError: bright”"
+    ]
+
+
 def test_files_that_only_one_has_are_named(tmp_path: Path) -> None:
     before, after = written(tmp_path / "before"), written(tmp_path / "after")
     (before / "cloud.ply").unlink()
