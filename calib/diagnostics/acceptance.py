@@ -13,6 +13,7 @@ from calib.refinement import (
     CAMERA,
     CLEARLY_WORSE,
     PROJECTOR,
+    SHARED,
     TANGENTIAL_TERMS,
     Cells,
     Fit,
@@ -236,7 +237,7 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
             NOT_SQUARE,
             f"The faces are not square to each other{angles}, where "
             + (
-                f"{knowledge.squareness_deg:g} degrees were allowed for"
+                f"{allowed_deg(refinement):g} degrees were allowed for"
                 if knowledge.squareness_deg
                 else "they should be"
             )
@@ -248,7 +249,7 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
             + _given_centre(knowledge)
             + knowledge.words.shape,
             {
-                "allowed_deg": knowledge.squareness_deg,
+                "allowed_deg": allowed_deg(refinement),
                 "off_square_deg": float(np.abs(worst).max()),
                 "cost": refinement.tension,
             },
@@ -260,6 +261,11 @@ def _skewest(refinement: Refinement) -> Floats:
     off_square = np.degrees(refinement.fit.state.off_square)
     worst: Floats = off_square[np.argmax(np.linalg.norm(off_square, axis=1))]
     return worst
+
+
+def allowed_deg(refinement: Refinement) -> float:
+    """The standard deviation of the corners' angles in the solution's prior, in degrees."""
+    return round(float(np.degrees(refinement.prior.sigma[SHARED])), 3)
 
 
 def far_from_square(refinement: Refinement, knowledge: Knowledge) -> bool:

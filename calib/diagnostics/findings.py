@@ -4,7 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.diagnostics.acceptance import far_from_square, named_angles, on_picture_scale, on_repeats, sigma_if
+from calib.diagnostics.acceptance import (
+    allowed_deg,
+    far_from_square,
+    named_angles,
+    on_picture_scale,
+    on_repeats,
+    sigma_if,
+)
 from calib.diagnostics.next_best_view import NextView
 from calib.finding import Finding, FindingKind, Severity
 from calib.refinement import CAMERA, WEAK_TERMS, Knowledge, Refinement
@@ -81,8 +88,7 @@ def findings_on_solution(
 
 
 def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> Iterator[Finding]:
-    allowed_deg = knowledge.squareness_deg
-    if allowed_deg == 0:
+    if knowledge.squareness_deg == 0:
         yield Finding(
             EXACTLY_SQUARE,
             Severity.NOTE,
@@ -91,11 +97,12 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> Iterator[Fin
         )
         return
     off = np.degrees(refinement.fit.state.off_square)
-    angles = {"allowed_deg": allowed_deg, "off_square_deg": float(np.abs(off).max())}
+    allowed = allowed_deg(refinement)
+    angles = {"allowed_deg": allowed, "off_square_deg": float(np.abs(off).max())}
     yield Finding(
         OFF_SQUARE,
         Severity.NOTE,
-        f"The faces were allowed to be off square by {allowed_deg:g}° (1 sigma); they seem to be off by "
+        f"The faces were allowed to be off square by {allowed:g}° (1 sigma); they seem to be off by "
         f"{'; '.join(map(named_angles, off))}.",
         data=angles,
     )

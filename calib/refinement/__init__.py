@@ -7,6 +7,7 @@ from calib.refinement.further_planes import depths, with_further_planes
 from calib.refinement.likelihood import (
     ROBUST_SIGMAS,
     SQUARENESS_DEG,
+    SQUARENESSES_DEG,
     Fit,
     Knowledge,
     Prior,
@@ -37,7 +38,7 @@ from calib.refinement.parameters import (
     without_lens,
 )
 from calib.refinement.priors import (
-    DECENTERING,
+    DECENTERINGS,
     ORDINARY_LENSES,
     RADIAL,
     THIRD_RADIAL,

@@ -4,7 +4,7 @@ The cost is Σ |r_i|² / v_i + Σ ((p − prior) / σ_prior)². r_i is the devia
 v_i the variance of each of its coordinates; Huber's loss applies beyond three sigmas.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,11 +13,14 @@ import numpy as np
 from calib.geometry import PER_PLANE, PER_POSE
 from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
 from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import CAMERA, PER_CORNER, PROJECTOR, SHARED, State, predict
-from calib.refinement.priors import ORDINARY_LENSES, ColumnPrior, KnownRig, LensPrior, PrincipalPoint
+from calib.refinement.parameters import CAMERA, PER_CORNER, PROJECTOR, SHARED, TANGENTIAL, State, predict
+from calib.refinement.priors import ORDINARY_LENSES, ColumnPrior, KnownRig, LensPrior, Population, PrincipalPoint
 from calib.refusal import PHOTOS, RIG, Wording
 
 SQUARENESS_DEG = 0.3  # standard deviation of the angles between walls of ordinary rooms around 90°
+# The same of populations, and how common they are. DIN 18202, table 2, allows edges of 0.5 to 1 m 6 mm, of 1 to 3 m
+# 8 mm, of 3 to 6 m 12 mm: 0.1 to 0.3°. Rooms of old houses are about 1° off.
+SQUARENESSES_DEG = tuple((sigma_deg, 1 / 3) for sigma_deg in (0.1, 0.3, 0.9))
 ROBUST_SIGMAS = 3.0
 _LEAST_IN_FRONT = 0.98
 _BEHIND = 100.0  # cost of a cell behind a device, as for a deviation of ten sigmas
@@ -29,11 +32,13 @@ class Prior(ColumnPrior):
     a corner in one row.
 
     `powers` (size,): power of a device's focal length with which a term scales for the same image distortion, if the
-    prior is on the distortion of the image. `held`: an unknown column that is held for now; its prior still counts.
-    `rig`: joint prior from other data on the columns that all captures share.
+    prior is on the distortion of the image. `populations`: of columns whose `sigma` is not known. `held`: an unknown
+    column that is held for now; its prior still counts. `rig`: joint prior from other data on the columns that all
+    captures share.
     """
 
     powers: Ints
+    populations: tuple[Population, ...] = ()
     held: int | None = None
     rig: KnownRig | None = None
 
@@ -59,6 +64,16 @@ class Prior(ColumnPrior):
         )
         return ratio**self.powers
 
+    def for_focals_of(self, state: State, reference: State) -> "Prior":
+        """Return the prior of lenses that distort the image in `state` as much as these do in `reference`."""
+        return replace(self, sigma=self.sigma * self.radial_scale(state, reference))
+
+    def with_sigmas(self, columns: Ints, sigma: float | Floats) -> "Prior":
+        """Return a copy with other standard deviations of some columns."""
+        changed = self.sigma.copy()
+        changed[columns] = sigma
+        return replace(self, sigma=changed)
+
     def holding(self, column: int) -> "Prior":
         """Return a copy for a minimisation that leaves one column unchanged."""
         return replace(self, held=column)
@@ -79,7 +94,8 @@ class Knowledge:
 
     `one_camera`: both images are photos by one unchanged camera, with one radial term. `focal_px`: prior on the
     camera's focal length as mean and standard deviation, if any. `rig`: prior on the rig from other data. `lenses`:
-    priors on the lenses of camera and projector, and on the projector's principal point.
+    priors on the lenses of camera and projector, and on the projector's principal point. `squarenesses_deg`: standard
+    deviations of the angles in the populations that the corners may come from, and their shares; none if it is known.
     """
 
     camera_size: tuple[int, int]
@@ -91,6 +107,13 @@ class Knowledge:
     focal_px: tuple[float, float] | None = None
     rig: KnownRig | None = None
     lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES
+    squarenesses_deg: tuple[tuple[float, float], ...] = ()
+
+    def with_squareness(self, squareness_deg: float | None) -> "Knowledge":
+        """Return a copy with a standard deviation of the corners' angles; None: nothing is said of them."""
+        if squareness_deg is None:
+            return replace(self, squareness_deg=SQUARENESS_DEG, squarenesses_deg=SQUARENESSES_DEG)
+        return replace(self, squareness_deg=squareness_deg, squarenesses_deg=())
 
     @property
     def words(self) -> Wording:
@@ -153,7 +176,21 @@ class Knowledge:
             tilts = sigma[layout.corner_columns(i)][PER_POSE:].reshape(-1, PER_PLANE)
             for row, plane in zip(tilts, corner.planes, strict=True):
                 row[:2] = plane.tilt_sigma
-        return Prior(mean, sigma, tailed, powers, rig=self.rig)
+        populations = tuple(self._populations(tailed[1].ravel(), sigma))
+        return Prior(mean, sigma, tailed, powers, populations, rig=self.rig)
+
+    def _populations(self, angles: Ints, sigma: Floats) -> Iterator[Population]:
+        """Those of each lens, unless other data determine it, and of all corners, which are of one house.
+
+        `sigma` (size,): standard deviations of all columns; exactly known ones are of no population.
+        """
+        for device, lens in zip((CAMERA, PROJECTOR), self.lenses, strict=True):
+            columns = device.start + np.array(TANGENTIAL)
+            if lens.decenterings and self.rig is None and sigma[columns].all():
+                yield Population.of(columns, lens.decenterings)
+        if self.squarenesses_deg and len(angles):
+            in_radians = [(float(np.radians(sigma)), share) for sigma, share in self.squarenesses_deg]
+            yield Population.of(angles, in_radians)
 
 
 @dataclass(frozen=True)

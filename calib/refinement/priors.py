@@ -2,7 +2,9 @@
 
 No distortion term is exactly zero. Omitting a term that is just too small to detect makes the sigmas of all other
 parameters wrong; with a prior, its uncertainty is kept. docs/method.md gives the origin of the standard deviations. A
-column's prior is Gaussian, or heavy-tailed, a mixture of a narrow and a wide Gaussian.
+column's prior is Gaussian, or heavy-tailed, a mixture of a narrow and a wide Gaussian. Of lenses and walls of which
+nothing is said, not even the scale is known: they come from one of several populations, and the data tell which
+(`scale_mixture.py`).
 
 What other data say of a rig is the quadratic approximation around the most likely state, which replaces those data. It
 is exact as far as their likelihood is quadratic within a few sigmas, which holds for boards but not for a single
@@ -23,6 +25,9 @@ from calib.refinement.parameters import ROTATION, SHARED, TRANSLATION, State
 # One in twenty comes from the wide Gaussian, whose standard deviation is four times as large.
 _ODD, _TIMES = 0.05, 4.0
 DECENTERING = 3e-4  # standard deviation of p1 and p2
+# The same of populations, and how common they are: published |p| spread over the decades from 0.00002 (machine vision)
+# to 0.005 (wide and consumer lenses). docs/method.md names some.
+DECENTERINGS = (1e-4, 0.3), (3e-4, 0.4), (1e-3, 0.2), (3e-3, 0.1)
 THIRD_RADIAL = 0.01  # of k3
 RADIAL = 0.1, 0.03  # of k1, k2
 _POWERS = 2, 4, 0, 0, 6  # the image depends on k1 / f², k2 / f⁴, k3 / f⁶; the prior on p1 and p2 is on the numbers
@@ -63,6 +68,11 @@ class ColumnPrior:
         sigma[list(columns)] = 0.0
         return replace(self, sigma=sigma)
 
+    def without_tails(self, columns: Ints) -> Self:
+        """The prior with some columns Gaussian."""
+        rows = (row[~np.isin(row, columns).any(axis=1)] for row in self.tailed)
+        return replace(self, tailed=tuple(row for row in rows if len(row)))
+
 
 @compiled
 def with_tails(z: Floats) -> tuple[Floats, Floats, Floats]:
@@ -92,6 +102,24 @@ def with_tails(z: Floats) -> tuple[Floats, Floats, Floats]:
     return cost, slope, curvature
 
 
+@dataclass(frozen=True, eq=False)
+class Population:
+    """Columns that deviate by one common scale, which is not known."""
+
+    columns: Ints
+    """(d,): their indices."""
+    sigmas: Floats
+    """(K,): standard deviations in the populations from which they may come."""
+    shares: Floats
+    """(K,): how common these are."""
+
+    @classmethod
+    def of(cls, columns: Ints, populations: Sequence[tuple[float, float]]) -> "Population":
+        """Of populations, each with its standard deviation and its share."""
+        sigmas, shares = np.array(populations).T
+        return cls(columns, sigmas, shares)
+
+
 @dataclass(frozen=True)
 class PrincipalPoint:
     """Prior on a principal point: `px` (x, y) with a standard deviation; 0 means exactly known."""
@@ -105,12 +133,14 @@ class LensPrior:
     """Prior of one device: `mean` and standard deviation `sigma` of k1, k2, p1, p2, k3, all independent.
 
     A sigma of 0 marks terms that a lens does not have: these stay zero. `point`: a projector's principal point; None
-    if no more is known of it than of any device's. A camera's is given separately.
+    if no more is known of it than of any device's. A camera's is given separately. `decenterings`: standard deviations
+    of p1 and p2 in the populations that the lens may come from, with their shares; none if `sigma` is theirs.
     """
 
     mean: tuple[float, ...] = (0.0,) * 5
     sigma: tuple[float, ...] = (*RADIAL, DECENTERING, DECENTERING, THIRD_RADIAL)
     point: PrincipalPoint | None = None
+    decenterings: tuple[tuple[float, float], ...] = DECENTERINGS
 
     @property
     def powers(self) -> tuple[int, ...]:
@@ -128,8 +158,10 @@ class LensPrior:
         """Return a copy with another standard deviation of p1 and p2, of k3, or of k1 and k2, where given."""
         k1, k2, p1, p2, third = self.sigma
         tangential = (p1, p2) if decentering is None else (decentering, decentering)
+        populations = self.decenterings if decentering is None else ()
         first, second = (k1, k2) if radial is None else (radial, radial)
-        return replace(self, sigma=(first, second, *tangential, third if k3 is None else k3))
+        sigma = first, second, *tangential, third if k3 is None else k3
+        return replace(self, sigma=sigma, decenterings=populations)
 
 
 ORDINARY_LENSES = LensPrior(), LensPrior()

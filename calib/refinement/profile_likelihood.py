@@ -8,7 +8,7 @@ Gaussian, and otherwise insensitive to tails that are less probable than one in 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -118,7 +118,8 @@ def trace_valley(captures: Sequence[Cells], best: Fit, prior: Prior, variances: 
             ahead = covariance_of(last.information, prior.free)[:, CAMERA.start]
             for _ in range(_HALVINGS):
                 along = last.state.moved(direction * step / ahead[CAMERA.start] * ahead)
-                fit = relax(captures, along, anchored, variances, tolerance=_TOLERANCE, steps=_RELAXED)
+                scaled = anchored.for_focals_of(along, best.state)
+                fit = relax(captures, along, scaled, variances, tolerance=_TOLERANCE, steps=_RELAXED)
                 if fit.cost - last.cost < _HIGHEST:
                     break
                 step /= 2  # too long for the valley's curvature, or beyond the last solution
@@ -148,29 +149,30 @@ def centred(captures: Sequence[Cells], best: Fit, valley: Valley, prior: Prior, 
     nearest = valley.states[int(np.argmin(np.abs(np.log(valley.focal_px / middle))))]
     step = np.zeros(best.state.size)
     step[CAMERA.start] = np.log(middle / nearest.camera[0])
-    anchored = prior.holding(CAMERA.start)
-    return relax(captures, nearest.moved(step), anchored, variances, tolerance=_TOLERANCE, steps=_RELAXED)
+    start = nearest.moved(step)
+    anchored = prior.holding(CAMERA.start).for_focals_of(start, best.state)
+    return relax(captures, start, anchored, variances, tolerance=_TOLERANCE, steps=_RELAXED)
 
 
 def log_volume_across(fit: Fit, best: State, prior: Prior) -> float:
     """Return the log volume of the posterior across the valley at a fit: Laplace's approximation, −½ log det Hessian.
 
-    Radial terms distort the image in proportion to k1 / f², k2 / f⁴ and k3 / f⁶, and short and long lenses distort
-    their images equally. So the prior width of these terms scales with the focal length; a fixed width would make
-    longer lenses more likely only because their terms are larger numbers.
+    Of radial terms it is that of k1 / f², k2 / f⁴ and k3 / f⁶, to which distortion of the image is proportional. Short
+    and long lenses distort their images equally; in the terms themselves longer lenses would be more likely only
+    because their terms are larger numbers. So `trace_valley` scales the prior of these terms with the focal length.
     """
     scale = prior.radial_scale(fit.state, best)
-    grown = replace(prior, sigma=prior.sigma * scale)
-    cost, _, curvature = prior.misfit(fit.state.additive())
-    grown_cost, _, grown_curvature = grown.misfit(fit.state.additive())
-    information = (fit.information + np.diag(grown_curvature - curvature)) * np.outer(scale, scale)
+    information = fit.information * np.outer(scale, scale)
     across = prior.free.copy()
     across[CAMERA.start] = False
-    chosen = information[np.ix_(across, across)]
-    unit = np.sqrt(np.diag(chosen))
-    curvatures = np.maximum(np.linalg.eigvalsh(chosen / np.outer(unit, unit)), _FLATTEST)
-    log_determinant = np.sum(np.log(curvatures)) + 2 * np.sum(np.log(unit))
-    return float(-(log_determinant + np.sum(grown_cost - cost)) / 2)
+    return -log_determinant(information[np.ix_(across, across)]) / 2
+
+
+def log_determinant(matrix: Floats) -> float:
+    """Return log det of a non-negative matrix (n, n) whose columns have very different scales."""
+    unit = np.sqrt(np.diag(matrix))
+    curvatures = np.maximum(np.linalg.eigvalsh(matrix / np.outer(unit, unit)), _FLATTEST)
+    return float(np.sum(np.log(curvatures)) + 2 * np.sum(np.log(unit)))
 
 
 def covariance_of(information: Floats, free: Bools | Ints) -> Floats:

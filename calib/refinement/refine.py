@@ -7,6 +7,7 @@ estimated from the residuals.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from calib.refinement.noise_model import Noise, noise_of
 from calib.refinement.parameters import SHARED, State, intrinsic_distance
 from calib.refinement.profile_likelihood import Valley, centred, trace_valley
 from calib.refinement.profile_minimiser import minimise
+from calib.refinement.scale_mixture import WeighedFit, weigh
 from calib.refinement.shared_corner import Sameness, oriented, tie
 
 # Cells of all captures and a state → the same with further planes.
@@ -114,17 +116,18 @@ def settle(
     unassuming = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG, rig=None).prior(fits[0].state)
     noise = _measured(captures, fits[0], unassuming)
     variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
-    prior = knowledge.prior(fits[0].state)
-    fits = _distinct([minimise(captures, fit.state, prior, variances) for fit in fits])
-    if not fits:
+    usual = knowledge.prior(fits[0].state)
+    weighed = _best_first([weigh(captures, fit.state, usual, variances) for fit in fits])
+    if not weighed:
         return None
-    with_angles = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG).prior(fits[0].state)
-    loose = minimise(captures, fits[0].state, with_angles, variances, tolerance=_ROUGH)
+    loose = minimise(captures, weighed[0].fit.state, _with_any_angles(weighed[0]), variances, tolerance=_ROUGH)
     # Starting from the fit with free angles, the prior on them may lead to another minimum.
     square = _squared(loose.state) if knowledge.squareness_deg == 0 else loose.state
-    if fits[0].cost - loose.cost > _STRAINED:
-        fits = _distinct([*fits, minimise(captures, square, prior, variances)])
-    best, *alternatives = fits
+    if weighed[0].fit.cost - loose.cost > _STRAINED:
+        weighed = _best_first([*weighed, weigh(captures, square, usual, variances)])
+    best, prior = weighed[0].fit, weighed[0].prior
+    # What speaks against the others is their evidence; it is stated as if it were their cost.
+    alternatives = [replace(minimum.fit, cost=best.cost + minimum.cost - weighed[0].cost) for minimum in weighed[1:]]
     tension = best.cost - loose.cost
 
     if further is not None and not any(alternative.cost < best.cost + CLEARLY_WORSE for alternative in alternatives):
@@ -144,10 +147,10 @@ def settle(
         covariance += scale.covariance
     apart = None
     if knowledge.rig is not None:
-        usual = replace(knowledge, rig=None).prior(best.state)
-        apart = minimise(captures, best.state, usual, variances)
+        of_any_rig = replace(knowledge, rig=None).prior(best.state)
+        apart = minimise(captures, best.state, of_any_rig, variances)
         # The general prior on lenses is not information from the captures.
-        apart = replace(apart, cost=apart.cost - float(np.sum(usual.misfit(apart.state.additive())[0][:SHARED])))
+        apart = replace(apart, cost=apart.cost - float(np.sum(of_any_rig.misfit(apart.state.additive())[0][:SHARED])))
     return Refinement(
         tuple(captures),
         noise,
@@ -177,6 +180,19 @@ def _traced(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Seque
     return best, valley
 
 
+def _with_any_angles(minimum: WeighedFit) -> Prior:
+    """Return the prior of a minimum with the angles of its corners all but free."""
+    state = minimum.fit.state
+    angles = np.arange(SHARED, SHARED + state.off_square.size)
+    return minimum.prior.with_sigmas(angles, np.radians(_ANY_ANGLE_DEG))
+
+
+def _best_first(minima: Sequence[WeighedFit]) -> list[WeighedFit]:
+    """Return different minima, that with the most evidence first."""
+    ordered = sorted((minimum for minimum in minima if np.isfinite(minimum.cost)), key=attrgetter("cost"))
+    return [ordered[k] for k in _different([minimum.fit.state for minimum in ordered])]
+
+
 def _squared(state: State) -> State:
     """Return the state with exactly square corners."""
     return replace(state, off_square=np.zeros_like(state.off_square))
@@ -203,7 +219,8 @@ def _with_planes(
     while True:
         prior = knowledge.prior(state)
         variances = [level.variances(cells_of_capture) for cells_of_capture, level in zip(cells, noise, strict=True)]
-        fit = minimise(cells, state, prior, variances)
+        minimum = weigh(cells, state, prior, variances)
+        fit, prior = minimum.fit, minimum.prior
         refuted = oblique_planes(fit.state) or unexplained(cells, fit, variances, of_faces)
         if not refuted:
             return cells, fit, prior
@@ -253,9 +270,14 @@ def _levels(fit: Fit) -> list[Floats]:
 
 def _distinct(fits: list[Fit]) -> list[Fit]:
     """Different solutions, best first."""
-    ordered = sorted((fit for fit in fits if np.isfinite(fit.cost)), key=lambda fit: fit.cost)
+    ordered = sorted((fit for fit in fits if np.isfinite(fit.cost)), key=attrgetter("cost"))
+    return [ordered[k] for k in _different([fit.state for fit in ordered])]
+
+
+def _different(states: Sequence[State]) -> list[int]:
+    """Indices of states that are unlike all before."""
 
     def alike(k: int) -> Bools:
-        return np.array([intrinsic_distance(fit.state, ordered[k].state).max() <= _SAME_SOLUTION for fit in ordered])
+        return np.array([intrinsic_distance(state, states[k]).max() <= _SAME_SOLUTION for state in states])
 
-    return [ordered[k] for k in distinct(len(ordered), alike)]
+    return list(distinct(len(states), alike))

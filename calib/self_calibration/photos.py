@@ -26,7 +26,6 @@ from calib.refinement import (
     ORDINARY_LENSES,
     PER_CORNER,
     SHARED,
-    SQUARENESS_DEG,
     Cells,
     Fit,
     Knowledge,
@@ -65,21 +64,23 @@ def calibrate_photos(
     size: tuple[int, int],
     *,
     principal_point: PrincipalPoint | None = None,
-    squareness_deg: float = SQUARENESS_DEG,
+    squareness_deg: float | None = None,
     lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
     focal_px: tuple[float, float] | None = None,
 ) -> tuple[SelfCalibration, ...]:
     """Calibrate the camera of photos of (width, height) from the matches of the first with each of the others.
 
     `pairs`: with faces 0, 1, 2 of one corner, `camera_px` in the first photo and `projector_px` in the other one.
-    `principal_point`: `anywhere` by default. `lenses`: the prior on the camera's lens, given twice. `focal_px`: a prior
-    on the focal length, as mean and standard deviation. Returns one solution for each pair, in units of that pair's
-    baseline; both of its devices are the camera.
+    `principal_point`: `anywhere` by default. `squareness_deg`: see `self_calibrate`. `lenses`: the prior on the
+    camera's lens, given twice. `focal_px`: a prior on the focal length, as mean and standard deviation. Returns one
+    solution for each pair, in units of that pair's baseline; both of its devices are the camera.
 
     Raises RefusalError if the matches determine no trustworthy calibration.
     """
     point = principal_point or anywhere(size)
-    knowledge = Knowledge(size, size, point.px, point.sigma_px, squareness_deg, True, focal_px, lenses=lenses)
+    knowledge = Knowledge(size, size, point.px, point.sigma_px, 0.0, True, focal_px, lenses=lenses).with_squareness(
+        squareness_deg
+    )
     try:
         cells = [into_cells(matches) for matches in pairs]
         families = [photo_family(cells_of_pair, knowledge) for cells_of_pair in cells]

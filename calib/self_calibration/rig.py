@@ -39,7 +39,6 @@ from calib.refinement import (
     CAMERA,
     ORDINARY_LENSES,
     SHARED,
-    SQUARENESS_DEG,
     Knowledge,
     LensPrior,
     PrincipalPoint,
@@ -149,7 +148,7 @@ def self_calibrate(
     *,
     principal_point: PrincipalPoint,
     method: Method = "refined",
-    squareness_deg: float = SQUARENESS_DEG,
+    squareness_deg: float | None = None,
     decentering: float | None = None,
     lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
     plane: Ints | None = None,
@@ -159,7 +158,8 @@ def self_calibrate(
 
     `method` 'paper' is the published one-dimensional search: it takes the principal point as exact and the corner as
     square and estimates no sigma. 'refined' is the maximum-likelihood solution with lens terms; `squareness_deg` is the
-    standard deviation of the angles between the faces around 90° (0: exactly square). `plane` (N,): the plane of each
+    standard deviation of the angles between the faces around 90° (0: exactly square; None: nothing is said, they are
+    those of one of the populations of walls). `plane` (N,): the plane of each
     match. `shifts`, `decentering` and `lenses`: see `self_calibrate_jointly`.
 
     Raises RefusalError if the matches determine no trustworthy calibration.
@@ -190,7 +190,7 @@ def self_calibrate_jointly(
     projector_size: tuple[int, int],
     *,
     principal_point: PrincipalPoint,
-    squareness_deg: float = SQUARENESS_DEG,
+    squareness_deg: float | None = None,
     decentering: float | None = None,
     lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
     same: bool = True,
@@ -206,8 +206,9 @@ def self_calibrate_jointly(
     `same`: assume that the captures show one corner and share its angles. This is tested, and dropped with a note if
     the matches contradict it. The faces of all results are numbered alike, so that their corners define one frame.
 
-    `lenses`: priors on the lenses of camera and projector, and on the projector's principal point. `decentering`:
-    standard deviation of p1 and p2 to use instead of theirs (0: no decentring).
+    `squareness_deg`: see `self_calibrate`. `lenses`: priors on the lenses of camera and projector, and on the
+    projector's principal point. `decentering`: standard deviation of p1 and p2 to use instead of theirs (0: no
+    decentring); by default, ordinary lenses are of one of several populations.
 
     `shifts`: for each capture, the possible systematic shifts of its matches; none by default.
 
@@ -222,9 +223,9 @@ def self_calibrate_jointly(
         projector_size,
         principal_point.px,
         principal_point.sigma_px,
-        squareness_deg,
+        0.0,
         lenses=(camera.with_sigmas(decentering), projector.with_sigmas(decentering)),
-    )
+    ).with_squareness(squareness_deg)
     if known is not None:
         knowledge = _knowing(knowledge, known)
     try:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from calib.geometry import PixelGrid, Size
-from calib.refinement import DECENTERING, RADIAL, SQUARENESS_DEG, THIRD_RADIAL
+from calib.refinement import DECENTERINGS, RADIAL, SQUARENESS_DEG, SQUARENESSES_DEG, THIRD_RADIAL
 from hw.settings import Settings
 from scanner.errors import InputError
 from scanner.io import LONGEST_M, SHORTEST_M, Flag, Metres, Number, Pair, Whole, refuse_more_pixels
@@ -179,17 +179,23 @@ class SequenceSettings(Settings):
 class CornerSettings(Settings):
     """Prior knowledge of the corner."""
 
-    squareness_deg: Number = Field(
-        default=SQUARENESS_DEG,
+    squareness_deg: Number | None = Field(
+        default=None,
         ge=0,
         le=10,
-        description="Standard deviation of the faces' angles from 90°; 0 if exact.",
+        description="Standard deviation of the faces' angles from 90°; 0 if exact; default: walls as they are built, "
+        f"of {' or '.join(f'{sigma:g}' for sigma, _ in SQUARENESSES_DEG)}, whichever the matches tell.",
     )
     same: Flag = Field(
         default=True,
         description="Several captures show the same corner, share its angles and are merged. Captures that refute "
         "this get angles of their own, and a note.",
     )
+
+    @property
+    def expected_squareness_deg(self) -> float:
+        """The standard deviation where a single one is needed."""
+        return SQUARENESS_DEG if self.squareness_deg is None else self.squareness_deg
 
 
 class LensSettings(Settings):
@@ -206,7 +212,8 @@ class LensSettings(Settings):
         default=None,
         ge=0,
         le=0.1,
-        description=f"Standard deviation of p1 and p2 of both lenses; 0 for none; default {DECENTERING:g}.",
+        description="Standard deviation of p1 and p2 of both lenses; 0 for none; default: lenses as they are sold, of "
+        f"{' or '.join(f'{sigma:g}' for sigma, _ in DECENTERINGS)}, whichever the matches tell.",
     )
     k3: Number | None = Field(
         default=None, ge=0, le=10, description=f"Standard deviation of k3 of both lenses; default {THIRD_RADIAL:g}."

@@ -84,7 +84,7 @@ def solve_network(captures: Captures, known: KnownDistance | None, config: Confi
             estimate = estimate_network(
                 {pair: capture.matches for pair, capture in captures.decoded.items()},
                 captures.sizes,
-                squareness_deg=config.corner.squareness_deg,
+                squareness_deg=config.corner.expected_squareness_deg,
                 lenses=lenses,
                 points=points,
                 shifts={pair: shifts_of(capture) for pair, capture in captures.decoded.items()},

@@ -78,7 +78,9 @@ def _lenses_alone(config: Config, cameras: Mapping[str, Size], projectors: Mappi
 def _prior_of(device: Intrinsics, sigma: DeviceSigmas) -> LensPrior | None:
     if sigma.distortion is None:
         return None
-    return LensPrior(device.distortion, tuple(max(sigma_of_term, _SUREST) for sigma_of_term in sigma.distortion))
+    return LensPrior(
+        device.distortion, tuple(max(sigma_of_term, _SUREST) for sigma_of_term in sigma.distortion), decenterings=()
+    )
 
 
 _YAML = (".yaml", ".yml")

@@ -210,7 +210,7 @@ def _estimated(members: Sequence[CaptureView], group: Group, start: RigStart, co
     metadata = members[0].decoded.metadata
     if start.corners:
         point = config.principal_point(metadata.camera_size)
-        squareness_deg = config.corner.squareness_deg
+        squareness_deg = config.corner.expected_squareness_deg
         sizes = metadata.camera_size, metadata.projector_size
         lenses = lenses_of(config, *sizes)
         knowledge = Knowledge(*sizes, point.px, point.sigma_px, squareness_deg, lenses=lenses)
@@ -232,7 +232,7 @@ def _estimated(members: Sequence[CaptureView], group: Group, start: RigStart, co
         state,
         prior,
         square=_square_pairs(members, group, start),
-        squareness_deg=config.corner.squareness_deg,
+        squareness_deg=config.corner.expected_squareness_deg,
         shifts=[shifts_of(each.decoded) for each in members],
         loose=loose,
         sights=[_sight(each) for each in members] if is_estimated(start) else (),

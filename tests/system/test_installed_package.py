@@ -42,7 +42,7 @@ if __name__ == "__main__":
 SCAN = ("--config", "room.yaml", "--out", "one")
 ASKED: dict[str, list[tuple[tuple[str, ...], int, str]]] = {
     "new": [(("mine.yaml",), 0, "→ scan --config mine.yaml"), (("rig.yaml", "--rig", "aravis"), 0, "type: ")],
-    "replay": [(("one/capture", "--out", "again"), 0, "→ ")],
+    "replay": [(("one/capture", "--config", "room.yaml", "--out", "again"), 0, "→ ")],
     "calibrate": [(("one", "--config", "room.yaml", "--out", "from-matches"), 0, "→ ")],
     "batch": [(("one", "--config", "room.yaml", "--out", "many", "--workers", "1"), 0, "batch.csv")],
     "patterns": [

@@ -38,7 +38,8 @@ def test_replays_are_equal(capture: Path, tmp_path: Path) -> None:
     for number, count in enumerate((1, 1, 2, 5)):
         use_processors(count)
         out = tmp_path / f"replay-{number}"
-        assert main(["replay", str(capture), "--out", str(out), "--quiet"]) == 0
+        config = capture.parents[1] / "room.yaml"
+        assert main(["replay", str(capture), "--config", str(config), "--out", str(out), "--quiet"]) == 0
         contents.append([_OF_A_RUN.sub(b"", (out / name).read_bytes()) for name in NUMBERS])
     for name, *versions in zip(NUMBERS, *contents, strict=True):
         assert all(version == versions[0] for version in versions[1:]), name

@@ -154,7 +154,7 @@ def test_angles_off_the_assumed_ones_are_refused(good: Refinement) -> None:
 
     loose = replace(KNOWLEDGE, squareness_deg=0.3)
     state = replace(good.fit.state, off_square=np.radians([[1.21, 0.0, 0.0]]))
-    skewed = replace(good, fit=replace(good.fit, state=state))
+    skewed = replace(good, fit=replace(good.fit, state=state), prior=loose.prior(state))
     # Walls may be that far off; what is not known of them is in the sigmas.
     refuse_untrustworthy(skewed, loose)
     refusal = refusal_of(replace(skewed, tension=21.2), loose)

@@ -69,7 +69,7 @@ def deviation(found: SelfCalibration) -> float:
     return float(abs(found.calibration.camera.focal_px[0] - PAPER_CAMERA.focal_px[0]) / sigma.camera.focal_px[0])
 
 
-@pytest.mark.parametrize(("seed", "scale"), [(0, 1.01), (9, 1.03)])
+@pytest.mark.parametrize(("seed", "scale"), [(0, 1.02), (9, 1.03)])
 def test_sigmas_include_a_picture_scale_that_explains_oblique_walls(seed: int, scale: float) -> None:
     square, scaled = calibrated(seed, 1.0), calibrated(seed, scale)
     assert "picture-scaled" not in kinds_of(square.findings)

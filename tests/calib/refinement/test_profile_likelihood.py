@@ -118,13 +118,14 @@ def test_the_volume_across_the_profile_includes_a_prior_that_grows_with_the_foca
     step = np.zeros(case.truth.size)
     step[PROJECTOR.start], step[column] = np.log(ratio), 0.5 * prior.sigma[column]
     state = case.truth.moved(step)
-    own = prior.misfit(state.additive())[2]
+    grown = prior.for_focals_of(state, case.truth)
+    width = ratio**power
+    assert grown.sigma[column] == pytest.approx(width * prior.sigma[column])
+    own = np.where(only, grown.root_precision, 0.0) ** 2
     information = np.diag(own + only / (told * np.where(only, prior.sigma, 1.0)) ** 2)
     found = log_volume_across(Fit(0.0, np.zeros(state.size), information, state, ()), case.truth, prior)
 
-    z = 0.5 + told * _Z
-    width = ratio**power
-    log_density = -(_Z**2) / 2 - (z / width) ** 2 / 2 - np.log(width) + 0.5**2 / 2  # the fit has paid for its prior
+    log_density = -(_Z**2) / 2 - (told * _Z / width) ** 2 / 2 - np.log(width)
     integral = np.sum(np.exp(log_density)) * (_Z[1] - _Z[0]) * told * prior.sigma[column]
     assert found == pytest.approx(np.log(integral / np.sqrt(2 * np.pi)), abs=0.01)
 

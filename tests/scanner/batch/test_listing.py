@@ -63,7 +63,7 @@ def test_a_list_gives_each_capture_its_options(museum: Path) -> None:
     )
     b, first, yard = list_jobs([str(museum / "list.csv")], BatchRequest(overrides=("method=refined",)))
     assert (first.name, first.config.corner.squareness_deg, first.calibration) == ("first", 0.1, None)
-    assert (b.name, b.config.corner.squareness_deg, b.calibration) == ("b", 0.3, "text of a calibration")
+    assert (b.name, b.config.corner.squareness_deg, b.calibration) == ("b", None, "text of a calibration")
     assert (yard.name, yard.config.corner.squareness_deg, yard.config.method) == ("yard", 0.2, "paper")
 
 

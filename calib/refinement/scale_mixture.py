@@ -1,0 +1,121 @@
+"""Fits under priors whose scale is not known: a mixture of Gaussians, one for each combination of populations.
+
+Lenses and walls of which nothing is said come from one of several populations. To first order around a fit, the
+posterior of each combination is Gaussian, with an evidence E_k in closed form (Bishop, Pattern Recognition and Machine
+Learning, 2006, 3.4). With the share w_k of its evidence, times how common it is, the mixture's prior has the variance
+Σ w_k σ_k². The fit under a Gaussian of this variance has the covariance of the mixture: of directions that no match
+determines it is exactly that, and where matches determine a column its prior does not count.
+
+One capture measures the difference of camera and projector in p1 and p2, say, but hardly their mean. The difference
+tells the scale, and the scale how far the mean may be off.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from calib.numerics import Floats, Ints
+from calib.refinement.likelihood import Fit, Prior
+from calib.refinement.match_cells import Cells
+from calib.refinement.parameters import State
+from calib.refinement.profile_likelihood import inverse_of
+from calib.refinement.profile_minimiser import minimise
+
+_ROUNDS = 2  # of estimating scales at a fit, and fitting with them
+_SETTLED = 0.1  # relative change of all scales that is worth no further fit
+
+
+@dataclass(frozen=True, eq=False)
+class WeighedFit:
+    """A minimum and what speaks for it."""
+
+    fit: Fit
+    prior: Prior
+    """The fit's, with the scales that its data make likely."""
+    cost: float
+    """−2 log of the evidence of the columns of populations, at the best of all others, under the fit's prior. Without
+    populations the fit's cost."""
+
+
+def weigh(captures: Sequence[Cells], start: State, prior: Prior, variances: Sequence[Floats]) -> WeighedFit:
+    """Minimise from a state under the mixture of all populations of a prior.
+
+    `variances`: (M,) for each capture, of each coordinate of each cell.
+    """
+    fit = minimise(captures, start, prior, variances)
+    if not prior.populations or not np.isfinite(fit.cost):
+        return WeighedFit(fit, prior, fit.cost)
+    columns = _columns(prior)
+    for _ in range(_ROUNDS):
+        sigma = mix_scales(fit, prior)
+        settled = bool(np.all(np.abs(sigma / prior.sigma[columns] - 1) < _SETTLED))
+        prior = prior.with_sigmas(columns, sigma).without_tails(columns)
+        if settled:
+            break
+        fit = minimise(captures, fit.state, prior, variances)
+    matrix, _ = _seen(fit, prior)
+    return WeighedFit(fit, prior, fit.cost + float(_log_volumes(matrix, prior.sigma[columns][None])[0]))
+
+
+def _columns(prior: Prior) -> Ints:
+    """Those of all populations, (d,)."""
+    return np.concatenate([population.columns for population in prior.populations])
+
+
+def mix_scales(fit: Fit, prior: Prior) -> Floats:
+    """Standard deviations (d,) of the columns of all populations.
+
+    With the precisions Λ of a combination, −2 log E = c − log det Λ + log det (M + Λ) − bᵀ (M + Λ)⁻¹ b.
+    """
+    matrix, pull = _seen(fit, prior)
+    counts = [len(population.columns) for population in prior.populations]
+    combinations = list(product(*(population.sigmas for population in prior.populations)))
+    sigmas = np.repeat(combinations, counts, axis=1)
+    pulls = sigmas * pull
+    scaled = _scaled(matrix, sigmas)
+    explained = np.einsum("ki,ki->k", pulls, np.linalg.solve(scaled, pulls[:, :, None])[:, :, 0])
+    common = [np.prod(shares) for shares in product(*(population.shares for population in prior.populations))]
+    log_evidence = (explained - _log_volumes(matrix, sigmas)) / 2 + np.log(common)
+    share = np.exp(log_evidence - np.logaddexp.reduce(log_evidence))
+    variance: Floats = share @ sigmas**2
+    return np.sqrt(variance)
+
+
+def _seen(fit: Fit, prior: Prior) -> tuple[Floats, Floats]:
+    """What the data say of the columns q of all populations, qᵀ M q − 2 bᵀ q: M (d, d) and b (d,).
+
+    All other columns are integrated out.
+    """
+    columns = _columns(prior)
+    others = prior.free.copy()
+    others[columns] = False
+    values = fit.state.additive()
+    _, slope, curvature = prior.misfit(values)
+    gradient, information = fit.gradient.copy(), fit.information.copy()
+    gradient[columns] -= slope[columns]
+    information[columns, columns] -= curvature[columns]
+    gain = inverse_of(information[np.ix_(others, others)]) @ information[np.ix_(others, columns)]
+    matrix = _non_negative(
+        information[np.ix_(columns, columns)] - gain.T @ information[np.ix_(others, columns)], prior.sigma[columns]
+    )
+    return matrix, matrix @ (values - prior.mean)[columns] - (gradient[columns] - gain.T @ gradient[others])
+
+
+def _scaled(matrix: Floats, sigmas: Floats) -> Floats:
+    """1 + S M S (K, d, d) for sigmas (K, d): of each combination in units of its sigmas, well conditioned."""
+    return np.eye(len(matrix)) + sigmas[:, :, None] * matrix * sigmas[:, None, :]
+
+
+def _log_volumes(matrix: Floats, sigmas: Floats) -> Floats:
+    """Log of how much larger the priors' volumes are than the posteriors', twice, (K,), for sigmas (K, d)."""
+    logarithm: Floats = np.linalg.slogdet(_scaled(matrix, sigmas))[1]
+    return logarithm
+
+
+def _non_negative(matrix: Floats, unit: Floats) -> Floats:
+    """A symmetric matrix (d, d) without the negative eigenvalues that rounding leaves, of columns in `unit` (d,)."""
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2 * np.outer(unit, unit))
+    clipped: Floats = (vectors * np.maximum(values, 0.0)) @ vectors.T / np.outer(unit, unit)
+    return clipped
