@@ -7,6 +7,7 @@ reads configurations; the limit is 0.3 s. What all jobs load takes 0.7 s of a pr
 """
 
 import argparse
+import os
 import resource
 import statistics
 import subprocess
@@ -24,7 +25,7 @@ JOBS = "import scanner.jobs"
 
 @dataclass(frozen=True)
 class Spent:
-    """What a process took."""
+    """What a process took, with one thread for linear algebra, as commands have."""
 
     clock_s: float
     """On the wall."""
@@ -35,7 +36,8 @@ class Spent:
     def by(cls, arguments: tuple[str, ...]) -> "Spent":
         """Of Python with these arguments."""
         before, start_s = _of_children_s(), time.perf_counter()
-        subprocess.run([sys.executable, *arguments], capture_output=True, check=False)
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+        subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, check=False)
         return cls(time.perf_counter() - start_s, _of_children_s() - before)
 
 
