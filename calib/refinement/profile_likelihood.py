@@ -165,10 +165,10 @@ def log_volume_across(fit: Fit, best: State, prior: Prior) -> float:
     information = fit.information * np.outer(scale, scale)
     across = prior.free.copy()
     across[CAMERA.start] = False
-    return -log_determinant(information[np.ix_(across, across)]) / 2
+    return -_log_determinant(information[np.ix_(across, across)]) / 2
 
 
-def log_determinant(matrix: Floats) -> float:
+def _log_determinant(matrix: Floats) -> float:
     """Return log det of a non-negative matrix (n, n) whose columns have very different scales."""
     unit = np.sqrt(np.diag(matrix))
     curvatures = np.maximum(np.linalg.eigvalsh(matrix / np.outer(unit, unit)), _FLATTEST)

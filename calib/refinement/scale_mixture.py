@@ -56,7 +56,7 @@ def weigh(captures: Sequence[Cells], start: State, prior: Prior, variances: Sequ
             break
         fit = minimise(captures, fit.state, prior, variances)
     matrix, _ = _seen(fit, prior)
-    return WeighedFit(fit, prior, fit.cost + float(_log_volumes(matrix, prior.sigma[columns][None])[0]))
+    return WeighedFit(fit, prior, fit.cost + float(np.linalg.slogdet(_scaled(matrix, prior.sigma[columns]))[1]))
 
 
 def _columns(prior: Prior) -> Ints:
@@ -77,7 +77,7 @@ def mix_scales(fit: Fit, prior: Prior) -> Floats:
     scaled = _scaled(matrix, sigmas)
     explained = np.einsum("ki,ki->k", pulls, np.linalg.solve(scaled, pulls[:, :, None])[:, :, 0])
     common = [np.prod(shares) for shares in product(*(population.shares for population in prior.populations))]
-    log_evidence = (explained - _log_volumes(matrix, sigmas)) / 2 + np.log(common)
+    log_evidence = (explained - np.linalg.slogdet(scaled)[1]) / 2 + np.log(common)
     share = np.exp(log_evidence - np.logaddexp.reduce(log_evidence))
     variance: Floats = share @ sigmas**2
     return np.sqrt(variance)
@@ -104,14 +104,12 @@ def _seen(fit: Fit, prior: Prior) -> tuple[Floats, Floats]:
 
 
 def _scaled(matrix: Floats, sigmas: Floats) -> Floats:
-    """1 + S M S (K, d, d) for sigmas (K, d): of each combination in units of its sigmas, well conditioned."""
-    return np.eye(len(matrix)) + sigmas[:, :, None] * matrix * sigmas[:, None, :]
+    """1 + S M S (…, d, d), the information in units of a prior's sigmas (…, d), well conditioned.
 
-
-def _log_volumes(matrix: Floats, sigmas: Floats) -> Floats:
-    """Log of how much larger the priors' volumes are than the posteriors', twice, (K,), for sigmas (K, d)."""
-    logarithm: Floats = np.linalg.slogdet(_scaled(matrix, sigmas))[1]
-    return logarithm
+    Its determinant is the square of the prior's volume over the posterior's.
+    """
+    scaled: Floats = np.eye(len(matrix)) + sigmas[..., :, None] * matrix * sigmas[..., None, :]
+    return scaled
 
 
 def _non_negative(matrix: Floats, unit: Floats) -> Floats:
