@@ -19,9 +19,9 @@ from cramer_rao import bound_of_boards
 from scipy.optimize import least_squares
 
 from calib.boards import Board, BoardCalibration, BoardView, calibrate_boards
+from calib.estimation import into_cells
 from calib.geometry import Calibration, Size
 from calib.numerics import Floats
-from calib.refinement import into_cells
 from calib.refusal import RefusalError
 from calib.synthetic import SyntheticBoards, random_boards
 from hw.settings import SimulatedRigSettings

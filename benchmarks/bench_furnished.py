@@ -18,10 +18,10 @@ from bench_bias import CAMERA, PROJECTOR, decoded, room_of
 from conditions.captures import patterns_of, take
 from rig_deviation import COLUMNS, deviations, rms_of_columns
 
+from calib.estimation import Shifts
 from calib.geometry import Calibration, Matches
 from calib.numerics import Floats, orthonormal_polynomials
 from calib.plane_segmentation import find_faces
-from calib.refinement import Shifts
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint, self_calibrate
 from hw.settings import SimulatedRigSettings

@@ -143,7 +143,7 @@ def lengths(found: RoomEstimate, truth: Room) -> Iterator[tuple[str, Measured, f
 
 
 def _exact(found: RoomEstimate, truth: Room) -> RoomEstimate:
-    return replace(found, fit=replace(found.fit, layout=truth))
+    return replace(found, fit=replace(found.fit, state=truth))
 
 
 def _gap_there(found: RoomEstimate, truth: Room, first: int, second: int) -> float:
@@ -218,7 +218,7 @@ def _of_planes(found: RoomEstimate, truth: Room) -> RoomEstimate:
     size = truth.size
     room = replace(found.room, planes=found.room.planes[: len(truth.planes)])
     patches = tuple(patch for patch in found.patches if patch.plane < len(truth.planes))
-    fit, problem = replace(found.fit, layout=room), replace(found.problem, parts=patches)
+    fit, problem = replace(found.fit, state=room), replace(found.problem, parts=patches)
     return replace(found, problem=problem, fit=fit, covariance=found.covariance[:size, :size])
 
 

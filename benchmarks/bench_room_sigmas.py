@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.estimation import Cells, Shifts, into_cells
 from calib.geometry import Plane
 from calib.numerics import Floats, Ints
-from calib.refinement import Cells, Knowledge, Shifts, State, into_cells
+from calib.refinement import Knowledge, State
 from calib.rooms import RigPrior, Room, RoomEstimate, angle_deg, estimate_room
 from hw.errors import DeviceError
 

@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 
 from calib.closed_form import objective_for, search
+from calib.estimation import into_cells
 from calib.geometry import Matches
-from calib.refinement import into_cells
 from calib.self_calibration import PrincipalPoint, paper_trials, self_calibrate
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 

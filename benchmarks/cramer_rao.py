@@ -9,23 +9,12 @@ from calib.boards import INTRINSIC_COLUMNS, BoardView
 from calib.boards import State as BoardState
 from calib.boards.likelihood import BoardVariances, board_problem, device_prior
 from calib.boards.parameters import PlacedBoard, device_of
-from calib.estimation import Problem
+from calib.estimation import Cells, Problem, into_cells
 from calib.geometry import Matches, Plane
 from calib.networks import Device, Network, PlaneObservation
 from calib.networks.prior import NetworkKnowledge
-from calib.numerics import Floats
-from calib.refinement import (
-    CAMERA,
-    PROJECTOR,
-    Cells,
-    Knowledge,
-    PlacedCorner,
-    State,
-    covariance_of,
-    evaluate,
-    into_cells,
-    predict,
-)
+from calib.numerics import Floats, covariance_of
+from calib.refinement import CAMERA, PROJECTOR, CornerProblem, Knowledge, PlacedCorner, State, predict
 from calib.refinement import device_of as rig_device_of
 from calib.rooms import Patch, Room, RoomPrior
 from calib.self_calibration import anywhere
@@ -67,7 +56,7 @@ def bound_covariance(captures: list[SyntheticCapture], knowledge: Knowledge, noi
         exact, _, _ = predict(state, sample.camera_px, sample.face, i)
         cells.append(_as_cells(replace(sample, projector_px=exact)))
         variances.append(np.full(len(sample), noise_px**2 * len(sample) / len(matches)))
-    fit = evaluate(cells, state, prior, variances)
+    fit = CornerProblem.of(cells, prior, variances).evaluate(state)
     four = [CAMERA.start, *range(PROJECTOR.start, PROJECTOR.start + 3)]
     relative = 1 / np.array([1.0, 1.0, *truth.projector.principal_point_px])  # focals are logarithms
     return covariance_of(fit.information, prior.free)[np.ix_(four, four)] * np.outer(relative, relative)

@@ -159,7 +159,7 @@ def refuse_untrustworthy(
                 {"ray_sigma_px": worst},
             )
     for other in others:
-        apart = np.abs(other.layout.additive() - found.state.additive())[[CAMERA.start, PROJECTOR.start]]
+        apart = np.abs(other.state.additive() - found.state.additive())[[CAMERA.start, PROJECTOR.start]]
         if other.cost - found.fit.cost < _CLEARLY_WORSE and np.any(apart > 2 * sigma[[CAMERA.start, PROJECTOR.start]]):
             raise RefusalError(
                 AMBIGUOUS,
@@ -167,8 +167,8 @@ def refuse_untrustworthy(
                 + _because(coverage),
                 _ADVICE,
                 {
-                    "camera_focal_px": float(found.fit.layout.camera[0]),
-                    "other_camera_focal_px": float(other.layout.camera[0]),
+                    "camera_focal_px": float(found.fit.state.camera[0]),
+                    "other_camera_focal_px": float(other.state.camera[0]),
                 },
             )
 
@@ -241,7 +241,7 @@ def straightness(found: Estimate) -> float:
 
 
 def _focals(fit: BoardFit) -> str:
-    return f"a camera of {fit.layout.camera[0]:.0f} px with a projector of {fit.layout.projector[0]:.0f} px"
+    return f"a camera of {fit.state.camera[0]:.0f} px with a projector of {fit.state.projector[0]:.0f} px"
 
 
 def _because(coverage: BoardCoverage | None) -> str:

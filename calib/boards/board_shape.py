@@ -30,13 +30,13 @@ def oriented_consistently(
         changed = False
         for i in range(1, len(views)):
             for turn in range(1, turns):
-                trial_views, trial = _turned(views, current.layout, i, turn / turns)
+                trial_views, trial = _turned(views, current.state, i, turn / turns)
                 fit = board_problem(trial_views, prior, levels).minimise(trial, tolerance=_ROUGH)
                 if fit.cost < current.cost - _CLEARLY:
                     views, current, changed = trial_views, fit, True
         if not changed:
             break
-    return tuple(views), current.layout
+    return tuple(views), current.state
 
 
 def _turned(views: list[BoardView], state: State, which: int, turn: float) -> tuple[list[BoardView], State]:

@@ -18,15 +18,7 @@ from calib.boards.board_shape import flex_of, oriented_consistently
 from calib.boards.cross_validation import Halves, Prediction, halves, leave_one_out
 from calib.boards.estimate import Estimate, estimate
 from calib.boards.likelihood import BoardFit, BoardView, Prior, board_problem, device_prior
-from calib.boards.parameters import (
-    CAMERA,
-    DIRECTION,
-    LENGTH,
-    PROJECTOR,
-    ROTATION,
-    PlacedBoard,
-    State,
-)
+from calib.boards.parameters import CAMERA, DIRECTION, LENGTH, PROJECTOR, ROTATION, PlacedBoard, State
 from calib.boards.starts import best_first, rough_levels, starts
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas, Size
@@ -133,20 +125,20 @@ def calibrate_boards(
     begun = starts(views, camera_size, projector_size, board.reach, prior)
     if not begun:
         raise no_rig(None)
-    found = estimated(views, begun[0].layout, prior, board)
+    found = estimated(views, begun[0].state, prior, board)
     names = [view.name for view in found.views]
     rigid = replace(found.state, boards=tuple(PlacedBoard(board.pose) for board in found.state.boards))
-    minima = rigid, *(fit.layout for fit in begun[1:])
+    minima = rigid, *(fit.state for fit in begun[1:])
 
     def anew(some: Sequence[BoardView]) -> Estimate:
         again = starts(some, camera_size, projector_size, board.reach, prior)
-        return estimated(some, again[0].layout, prior, board) if again else nearby(some)
+        return estimated(some, again[0].state, prior, board) if again else nearby(some)
 
     def nearby(some: Sequence[BoardView]) -> Estimate:
         """From the best of the minima of all views."""
         chosen = [names.index(view.name) for view in some]
         fits = best_first(some, [state.of_views(chosen) for state in minima], prior)
-        return estimated(some, fits[0].layout, prior, board)
+        return estimated(some, fits[0].state, prior, board)
 
     sizes = camera_size, projector_size
     # Parameters that all boards together do not determine stay undetermined without one of them.
@@ -214,7 +206,7 @@ def _others(found: Estimate, begun: Sequence[BoardFit], views: Sequence[BoardVie
     chosen = [names.index(view.name) for view in found.views]
     problem, further = board_problem(found.views, found.prior, found.levels), []
     for fit in begun[1:]:
-        state = fit.layout.of_views(chosen)
+        state = fit.state.of_views(chosen)
         further.append(problem.minimise(state, tolerance=0.1, steps=_STEPS))
     return further
 

@@ -77,7 +77,7 @@ def _predicted(found: Estimate, left_out: int, rest: Estimate) -> Prediction:
     free = np.zeros(alone.size, np.bool_)
     free[SHARED : SHARED + PER_POSE] = True
     posed = board_problem([view], found.prior, levels, free=free, matches=False).minimise(alone)
-    predicted, jacobian, _ = predict_matches(posed.layout, view.cells.camera_px, 0)
+    predicted, jacobian, _ = predict_matches(posed.state, view.cells.camera_px, 0)
     residual = predicted - view.cells.projector_px
     pose = slice(SHARED, SHARED + PER_POSE)
     of_pose = np.asarray(np.linalg.inv(posed.information[pose, pose]), np.float64)

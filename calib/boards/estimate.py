@@ -11,9 +11,9 @@ import numpy as np
 
 from calib.boards.likelihood import BoardFit, BoardVariances, BoardView, Prior, board_problem
 from calib.boards.parameters import SHARED, State
+from calib.estimation import Cells, Noise, joined, long_waves, noise_of
 from calib.geometry import PER_POSE
 from calib.numerics import CUBIC, MEDIAN_LENGTH, Floats
-from calib.refinement import Cells, Noise, joined, long_waves, noise_of
 
 _LEAST_CORNER_PX = 1e-3
 _PRIOR_FREEDOM = 20.0  # degrees of freedom of the prior on a view's noise, around that of all views
@@ -101,7 +101,7 @@ class Estimate:
     @property
     def state(self) -> State:
         """The most likely one."""
-        return self.fit.layout
+        return self.fit.state
 
 
 def estimate(views: Sequence[BoardView], start: State, prior: Prior, levels: BoardVariances) -> Estimate:
@@ -115,7 +115,7 @@ def estimate(views: Sequence[BoardView], start: State, prior: Prior, levels: Boa
         before = levels
         levels, corner_px, noise = measured(views, fit, prior)
         problem = board_problem(views, prior, levels)
-        fit = problem.minimise(fit.layout)
+        fit = problem.minimise(fit.state)
         if levels.change(before) < _SETTLED:
             break
     covariance = problem.covariance(fit)[:SHARED, :SHARED]

@@ -24,9 +24,9 @@ from calib.boards.parameters import (
     predict_corners,
     predict_matches,
 )
-from calib.estimation import Fit, Problem, Term
+from calib.estimation import Cells, ColumnPrior, Fit, Problem, Term
 from calib.numerics import NIELSEN, Bools, Floats, Ints
-from calib.refinement import ORDINARY_LENSES, Cells, ColumnPrior, LensPrior
+from calib.refinement import ORDINARY_LENSES, LensPrior
 
 _TAILED = np.array(
     [[device.start + term] for device in (CAMERA, PROJECTOR) for term in (ASPECT, *range(LENS.start, LENS.stop))]

@@ -18,8 +18,7 @@ from calib.boards.parameters import (
     predict_matches,
 )
 from calib.geometry import PER_POSE, Pose, Size, rotation_about
-from calib.numerics import Floats
-from calib.refinement import inverse_of
+from calib.numerics import Floats, inverse_of
 
 _PLACES = (0.25, 0.5, 0.75)  # positions across and down the projector's picture
 _DISTANCES = {"nearer than most so far": 0.8, "as far away as most so far": 1.0, "farther away than most so far": 1.25}

@@ -64,7 +64,7 @@ def best_first(views: Sequence[BoardView], states: Sequence[State], prior: Prior
 
 def _distinct(fits: list[BoardFit]) -> list[BoardFit]:
     """Those with other focals than better ones before them."""
-    focals = np.log([[fit.layout.camera[0], fit.layout.projector[0]] for fit in fits]).reshape(-1, 2)
+    focals = np.log([[fit.state.camera[0], fit.state.projector[0]] for fit in fits]).reshape(-1, 2)
     return [fits[k] for k in distinct(len(fits), lambda k: np.abs(focals - focals[k]).max(axis=1) <= _DIFFERENT)]
 
 
@@ -99,15 +99,15 @@ def _cameras(
     for _, state in trials[:_FINALISTS]:
         fit = problem.minimise(state, tolerance=_ROUGH, steps=_STEPS)
         fit = _turned_over(views, fit, problem)
-        if all(abs(np.log(fit.layout.camera[0] / other.layout.camera[0])) > _DIFFERENT for other in found):
+        if all(abs(np.log(fit.state.camera[0] / other.state.camera[0])) > _DIFFERENT for other in found):
             found.append(fit)
-    yield from (fit.layout for fit in sorted(found, key=lambda fit: fit.cost))
+    yield from (fit.state for fit in sorted(found, key=lambda fit: fit.cost))
 
 
 def _turned_over(views: Sequence[BoardView], fit: BoardFit, problem: BoardProblem) -> BoardFit:
     """The same with each board in the other of the two poses that a weak perspective leaves, where that is better."""
-    boards = tuple(pose_of(view.points, view.corners_px, fit.layout.camera)[0] for view in views)
-    other = problem.minimise(replace(fit.layout, boards=boards), tolerance=_ROUGH, steps=_STEPS)
+    boards = tuple(pose_of(view.points, view.corners_px, fit.state.camera)[0] for view in views)
+    other = problem.minimise(replace(fit.state, boards=boards), tolerance=_ROUGH, steps=_STEPS)
     return min(fit, other, key=lambda each: each.cost)
 
 

@@ -7,21 +7,20 @@ import scipy
 
 from calib.diagnostics.degeneracy import one_plane, reasons_in_images, reasons_in_space
 from calib.diagnostics.next_best_view import best_next_view
+from calib.estimation import Cells
 from calib.finding import Finding, FindingKind, Severity
-from calib.numerics import Floats
+from calib.numerics import Floats, covariance_of
 from calib.refinement import (
     CAMERA,
     CLEARLY_WORSE,
     PROJECTOR,
     SHARED,
     TANGENTIAL_TERMS,
-    Cells,
-    Fit,
+    CornerFit,
     Knowledge,
     PrincipalPoint,
     Refinement,
     Straightened,
-    covariance_of,
     intrinsic_distance,
 )
 from calib.refusal import AMBIGUOUS, UNDETERMINED_FOCAL, RefusalError, Wording
@@ -152,7 +151,7 @@ def sigma_if(refinement: Refinement, known: Mapping[int, float]) -> float:
     return float(np.sqrt(covariance_of(information, refinement.prior.free)[CAMERA.start, CAMERA.start]))
 
 
-def _absurd_focals(fit: Fit, knowledge: Knowledge) -> dict[str, float]:
+def _absurd_focals(fit: CornerFit, knowledge: Knowledge) -> dict[str, float]:
     """The implausible focal lengths of a solution by device, in image widths."""
     absurd = {}
     for device, parameters, size in (
@@ -298,7 +297,7 @@ def named_angles(off_deg: Floats) -> str:
     return ", ".join(f"{faces} {angle}" for faces, angle in zip(("B–C", "C–A", "A–B"), signed, strict=True))
 
 
-def _refuse_ambiguous(best: Fit, alternatives: Sequence[Fit], sigmas: Floats, words: Wording) -> None:
+def _refuse_ambiguous(best: CornerFit, alternatives: Sequence[CornerFit], sigmas: Floats, words: Wording) -> None:
     """Raise RefusalError for a second likely minimum. `sigmas` (4,): in the units of `intrinsic_distance`."""
     for alternative in alternatives:
         apart = intrinsic_distance(alternative.state, best.state)
@@ -315,7 +314,7 @@ def _refuse_ambiguous(best: Fit, alternatives: Sequence[Fit], sigmas: Floats, wo
             )
 
 
-def _intrinsics(fit: Fit) -> str:
+def _intrinsics(fit: CornerFit) -> str:
     camera, projector = fit.state.camera, fit.state.projector
     if fit.state.one_camera:
         return f"a focal length of {camera[0]:.0f} px with a principal point of ({camera[1]:.0f}, {camera[2]:.0f})"

@@ -9,18 +9,8 @@ import scipy
 
 from calib.diagnostics.uncertainty import Uncertainty
 from calib.finding import FindingKind
-from calib.numerics import Bools, Floats
-from calib.refinement import (
-    CAMERA,
-    PROJECTOR,
-    ROTATION,
-    SHARED,
-    TRANSLATION,
-    Fit,
-    KnownRig,
-    Refinement,
-    covariance_of,
-)
+from calib.numerics import Bools, Floats, covariance_of
+from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, CornerFit, KnownRig, Refinement
 from calib.refusal import RefusalError
 
 _SIGNIFICANT = 0.9999
@@ -177,7 +167,7 @@ def _amount(amount: float, unit: str) -> str:
     return f"{amount:.2g}{' ' if unit not in ('', '°') else ''}{unit}"
 
 
-def _differences_from(rig: KnownRig, apart: Fit, free: Bools) -> str:
+def _differences_from(rig: KnownRig, apart: CornerFit, free: Bools) -> str:
     """The same between the known rig and the independent fit."""
     variance = rig.covariance.diagonal() + covariance_of(apart.information, free).diagonal()[:SHARED]
     return _differences(rig.step_to(apart.state), variance)

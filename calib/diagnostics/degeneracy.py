@@ -5,8 +5,9 @@ These reasons explain a refusal and what to change. The decision itself rests on
 
 import numpy as np
 
+from calib.estimation import Cells
 from calib.geometry import FACES, Matches, homography_between, mapped
-from calib.refinement import Cells, State, Straightened
+from calib.refinement import State, Straightened
 from calib.refusal import Wording
 
 _NAMES = ("first", "second", "third")

@@ -10,20 +10,10 @@ from itertools import product
 import numpy as np
 import scipy
 
+from calib.estimation import Cells
 from calib.geometry import FACES, PER_POSE, depths_on_planes, unproject
-from calib.numerics import Floats
-from calib.refinement import (
-    CAMERA,
-    Cells,
-    Knowledge,
-    PlacedCorner,
-    Refinement,
-    State,
-    covariance_of,
-    evaluate,
-    inverse_of,
-    predict,
-)
+from calib.numerics import Floats, covariance_of, inverse_of
+from calib.refinement import CAMERA, CornerProblem, Knowledge, PlacedCorner, Refinement, State, predict
 
 _TURNS_DEG = (-25.0, 0.0, 25.0)
 _DISTANCES = (0.75, 1.0, 1.3)
@@ -150,7 +140,7 @@ def _sigma_with(
     alone = replace(alone, corners=(replace(corner, shape=0),))
     prior = knowledge.prior(alone)
     flat = replace(prior, sigma=np.where(prior.free, np.inf, 0.0), rig=None)
-    new = evaluate([cells], alone, flat, [np.full(len(cells), variance)]).information
+    new = CornerProblem.of([cells], flat, [np.full(len(cells), variance)]).evaluate(alone).information
     kept = np.flatnonzero(prior.free)
     shared = kept[kept < alone.size - PER_POSE]
     # Present information on the shared columns. With a second capture the valley is short, so curvature suffices.

@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
+from calib.estimation.match_cells import Cells, joined
 from calib.estimation.problem import AnyPlanes, Fit, PlanePart, Problem
 from calib.estimation.scores import plane_scores
 from calib.numerics import (
@@ -17,16 +19,93 @@ from calib.numerics import (
     median,
     monomials,
     normalisation,
+    orthonormal_polynomials,
 )
-from calib.refinement import Cells, Noise, joined, long_waves, noise_of, overdispersion
 
+_SIGNIFICANT = 0.99
+_LEAST_CELLS = 3 * CUBIC  # on a plane, to separate long waves from short ones
 _LEAST_PX = 1e-3
 _OUT_OF_LINE = 4.0  # long waves of a patch over the median of its station: beyond this, the plane is uneven
 _BENT = 0.999
-UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # for a station without cells
 _LOUD = 10.0  # sigmas; a cell with a larger residual does not affect the smooth part further
 _BLOCKS = 5  # blocks along either side of a view, within which errors correlate
 _FEWEST_IN_BLOCK = 5
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one capture: the scatter of a match; τ, the systematic error of a cell's mean; the root mean square of
+    the residuals' long waves; κ, their overdispersion: their variance over that expected from independent cells.
+
+    Only long waves move the parameters, so κ is the factor by which their variances grow. `repeats`: number of captures
+    taken from the same place. They have the same smooth errors, so together they count as one.
+    """
+
+    match_px: float
+    systematic_px: float
+    smooth_px: float
+    inflation: float
+    repeats: int = 1
+
+    def variances(self, cells: Cells) -> Floats:
+        """κ (σ² + τ²) of each coordinate of each cell, (M,), times the repeats."""
+        return self.repeats * self.inflation * _independent(cells, self.systematic_px)
+
+
+def noise_of(cells: Cells, residual: Floats, absorbed: float) -> Noise:
+    """Estimate the noise from residuals (M, 2) of a fit that absorbed `absorbed` degrees of freedom of this capture."""
+    systematic_px = _systematic(residual / cells.coarseness[:, None], cells.sigma_px / cells.coarseness)
+    independent = _independent(cells, systematic_px)
+    return Noise(cells.noise_px, systematic_px, *_long_waves(cells, residual, independent, absorbed))
+
+
+def _independent(cells: Cells, systematic_px: float) -> Floats:
+    return cells.sigma_px**2 + (systematic_px * cells.coarseness) ** 2
+
+
+def _systematic(residual: Floats, sigma_px: Floats) -> float:
+    """Return τ in px such that the median size of the residuals (M, 2) matches the variances σ² + τ² (robust)."""
+    size, variance = np.linalg.norm(residual, axis=1), sigma_px**2
+    low, high = 0.0, 2 * float(np.median(size)) + 1e-12
+    for _ in range(50):
+        middle = (low + high) / 2
+        relative = size / np.sqrt(variance + middle**2)
+        low, high = (middle, high) if median(relative) > MEDIAN_LENGTH else (low, middle)
+    return high if high > 1e-3 * float(np.median(sigma_px)) else 0.0
+
+
+def long_waves(cells: Cells, residual: Floats, variance: Floats) -> tuple[Floats, Floats]:
+    """Project the residuals of each plane on cubic polynomials over it: χ² (P,), with 2 CUBIC degrees of freedom, and
+    sum of squares (P,) in px², ordered by label; NaN for a plane with too few cells.
+    """
+    totals, squares = [], []
+    for plane in np.unique(cells.plane):
+        members = cells.plane == plane
+        if members.sum() < _LEAST_CELLS:
+            totals.append(np.nan)
+            squares.append(np.nan)
+            continue
+        root = 1 / np.sqrt(variance[members])
+        waves = orthonormal_polynomials(cells.camera_px[members], root)
+        amplitudes = waves.T @ (residual[members] * root[:, None])
+        totals.append(float(np.sum(amplitudes**2)))
+        squares.append(float(np.sum((waves @ amplitudes / root[:, None]) ** 2)))
+    return np.array(totals), np.array(squares)
+
+
+def overdispersion(total: float, freedom: float, significant: float = _SIGNIFICANT) -> float:
+    """Return κ, χ² over its degrees of freedom; 1 if it is not significant."""
+    return 1.0 if freedom <= 0 or total < scipy.special.chdtri(freedom, 1 - significant) else total / freedom
+
+
+def _long_waves(cells: Cells, residual: Floats, variance: Floats, absorbed: float) -> tuple[float, float]:
+    """Return the root mean square, in px, of the residuals' projection on cubic polynomials over each plane, and κ."""
+    totals, squares = long_waves(cells, residual, variance)
+    freedom = 2 * CUBIC * np.count_nonzero(np.isfinite(totals)) - absorbed
+    return float(np.sqrt(np.nansum(squares) / len(cells))), overdispersion(float(np.nansum(totals)), freedom)
+
+
+UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # for a station without cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +162,9 @@ def measured(
         stations.append(replace(noise, repeats=times))
     further_stations = len({patch.capture for patch in patches}) - 1 if one_rig else 0
     alike = 1 + (_coherence(patches, fit, stations) * further_stations if further_stations else 0.0)
-    flat = NoiseLevels(tuple(stations), np.ones(len(fit.layout.planes)), alike)
+    flat = NoiseLevels(tuple(stations), np.ones(len(fit.state.planes)), alike)
     of_stations = np.array([stations[patch.capture].inflation for patch in patches])
-    by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.layout)
+    by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.state)
     scores, freedom = plane_scores(problem, fit, flat.variances(patches))
     by_ties = _overdispersions(scores.tolist(), freedom.tolist())
     return replace(flat, planes=np.maximum(by_waves, by_ties))
@@ -119,7 +198,7 @@ def _coherence(patches: Sequence[PlanePart[AnyPlanes]], fit: Fit[AnyPlanes], sta
     scale = normalisation(np.concatenate([patch.cells.camera_px for patch in patches]))
     information, pull = np.zeros((len(stations), TERMS, TERMS)), np.zeros((len(stations), TERMS))
     for patch, residual in zip(patches, fit.residuals, strict=True):
-        along = patch.predict(fit.layout)[1][:, :, -1]
+        along = patch.predict(fit.state)[1][:, :, -1]
         across = along[:, 1] * residual[:, 0] - along[:, 0] * residual[:, 1]
         across /= np.linalg.norm(along, axis=1)
         weight = 1 / replace(stations[patch.capture], inflation=1.0, repeats=1).variances(patch.cells)

@@ -2,24 +2,39 @@
 
 The unknowns are a layout, such as the devices, places and planes of a room. Matches, what ties devices otherwise, and
 priors each add terms to the cost, with derivatives by a few of the layout's columns; their sums are the normal
-equations. Cells of matches deviate in pixels under Huber's loss, as in `calib.refinement.likelihood`.
+equations. A cell of matches whose deviation r in projector pixels has the variance v of each coordinate costs
+|r|² / v, with Huber's loss beyond three sigmas.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import Field, dataclass
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
+from calib.estimation.match_cells import Cells
+from calib.estimation.priors import ColumnPrior
 from calib.geometry import PER_PLANE, Plane, tangent_basis
-from calib.numerics import Bools, Damping, Floats, Ints, Quadratic, compiled, descend, huber_loss, huber_weights
-from calib.refinement import ROBUST_SIGMAS, Cells, ColumnPrior, covariance_of, misfit
+from calib.numerics import (
+    Bools,
+    Damping,
+    Floats,
+    Ints,
+    Quadratic,
+    compiled,
+    covariance_of,
+    descend,
+    huber_loss,
+    huber_weights,
+)
 
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
 _STEPS = 60
 _DAMPING = Damping(first=1e-6, least=1e-13, most=1e4, growth=10.0, relief=0.05, by_gain=True)
 PLANE = slice(-PER_PLANE, None)  # within a part's own columns
-_BEHIND = 100.0  # as for a deviation of ten sigmas
+ROBUST_SIGMAS = 3.0  # of Huber's loss
+_LEAST_IN_FRONT = 0.98  # of the cells of a part
+_BEHIND = 100.0  # cost of a cell behind a device, as for a deviation of ten sigmas
 
 
 class Layout(Protocol):
@@ -168,9 +183,9 @@ class Prior(Protocol[LayoutT]):
 
 @dataclass(frozen=True, eq=False)
 class Fit(Quadratic, Generic[AnyLayout]):
-    """A layout with its cost."""
+    """A state of a layout with its cost."""
 
-    layout: AnyLayout
+    state: AnyLayout
     residuals: tuple[Floats, ...]
     """(M, 2) of each part, in pixels."""
 
@@ -202,15 +217,23 @@ class Problem(Generic[AnyLayout, PartT]):
         residuals = tuple(residual for _, residual in misfits)
         return Fit(total.cost, total.gradient, total.information, layout, residuals)
 
-    def minimise(self, layout: AnyLayout, *, tolerance: float = CONVERGED, steps: int = _STEPS) -> Fit[AnyLayout]:
+    def minimise(
+        self,
+        layout: AnyLayout,
+        *,
+        tolerance: float = CONVERGED,
+        steps: int = _STEPS,
+        enough: Callable[[float, float], bool] | None = None,
+    ) -> Fit[AnyLayout]:
         """The nearest minimum over the free columns, by Levenberg and Marquardt.
 
-        Ends when a further step promises to lower the cost by less than `tolerance`.
+        Ends when a further step promises to lower the cost by less than `tolerance`, or when `enough` of the cost and
+        of this decrement is true.
         """
         return descend(
             self.evaluate(layout),
-            lambda fit, step: self.evaluate(fit.layout.moved(step)),
-            lambda _, decrement: decrement < tolerance,
+            lambda fit, step: self.evaluate(fit.state.moved(step)),
+            enough or (lambda _, decrement: decrement < tolerance),
             self.damping,
             steps,
             free=np.flatnonzero(self.free),
@@ -233,6 +256,52 @@ class Problem(Generic[AnyLayout, PartT]):
         if carried is not None:
             slope, curvature = carried.T @ slope, carried.T @ curvature @ carried
         return Term(cost, slope, curvature, part.columns(layout)), residual
+
+
+@compiled
+def misfit(
+    predicted: Floats,
+    observed: Floats,
+    jacobian: Floats,
+    depths: Floats,
+    variance: Floats,
+    columns: Ints,
+    residual: Floats,
+    gradient: Floats,
+    information: Floats,
+) -> float:
+    """Return cost and residuals of one capture's cells; add to half the gradient and half the Gauss–Newton Hessian.
+
+    A cell behind a device, or on the horizon, has a constant cost.
+    """
+    cost, behind, count = 0.0, 0, len(columns)
+    slope, curvature = np.zeros(count), np.zeros((count, count))
+    for i in range(len(predicted)):
+        total = 0.0
+        for a in range(count):
+            total += jacobian[i, 0, a] + jacobian[i, 1, a]
+        if not (depths[i, 0] > 0 and depths[i, 1] > 0 and np.isfinite(total)):
+            residual[i, 0], residual[i, 1] = 0.0, 0.0
+            cost += _BEHIND
+            behind += 1
+            continue
+        x, y = predicted[i, 0] - observed[i, 0], predicted[i, 1] - observed[i, 1]
+        residual[i, 0], residual[i, 1] = x, y
+        # Huber's loss: the square up to the threshold, linear beyond it.
+        size = np.sqrt((x * x + y * y) / variance[i])
+        robust = min(1.0, ROBUST_SIGMAS / size)
+        cost += robust * size * (2 * size - robust * size)
+        weight = robust / variance[i]
+        for a in range(count):
+            by_x, by_y = weight * jacobian[i, 0, a], weight * jacobian[i, 1, a]
+            slope[a] += by_x * x + by_y * y
+            for b in range(a + 1):
+                curvature[a, b] += by_x * jacobian[i, 0, b] + by_y * jacobian[i, 1, b]
+    for a in range(count):
+        gradient[columns[a]] += slope[a]
+        for b in range(count):
+            information[columns[a], columns[b]] += curvature[max(a, b), min(a, b)]
+    return cost if behind <= (1 - _LEAST_IN_FRONT) * len(predicted) else np.inf
 
 
 def squareness(layout: PlaneLayout, pairs: Sequence[tuple[int, int]], sigma: float) -> Iterator[Term]:

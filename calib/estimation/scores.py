@@ -32,9 +32,9 @@ class PatchSums:
     def of(cls, patch: PlanePart[AnyPlanes], fit: Fit[AnyPlanes], residual: Floats, variance: Floats) -> "PatchSums":
         """From a patch's `residual` (M, 2) of a fit, under a `variance` (M,) of each coordinate."""
         root = 1 / np.sqrt(variance)[:, None]
-        jacobian = patch.predict(fit.layout)[1] * root[:, :, None]
+        jacobian = patch.predict(fit.state)[1] * root[:, :, None]
         own = Term.robust(np.arange(jacobian.shape[2]), residual * root, jacobian)
-        return cls(own, patch.carried(fit.layout), patch.columns(fit.layout))
+        return cls(own, patch.carried(fit.state), patch.columns(fit.state))
 
     @property
     def term(self) -> Term:
@@ -54,7 +54,7 @@ def reweighted(
         [PatchSums.of(problem.parts[i], fit, fit.residuals[i], of_parts[i]) for i in chosen]
         for of_parts in (problem.variances, variances)
     )
-    less, more = (add_up(fit.layout.size, (sums.term for sums in of_parts)) for of_parts in (before, after))
+    less, more = (add_up(fit.state.size, (sums.term for sums in of_parts)) for of_parts in (before, after))
     return Quadratic(
         fit.cost + more.cost - less.cost,
         fit.gradient + more.gradient - less.gradient,
@@ -103,7 +103,7 @@ def association_scores(problem: Problem[AnyPlanes, PlanePart[AnyPlanes]], fit: F
     scores, freedom = np.zeros(len(planes)), np.zeros(len(planes))
     for i in np.flatnonzero(tied).tolist():
         sums = PatchSums.of(problem.parts[i], fit, fit.residuals[i], problem.variances[i])
-        scores[i], freedom[i] = _score([sums], covariance, np.zeros(fit.layout.size))
+        scores[i], freedom[i] = _score([sums], covariance, np.zeros(fit.state.size))
     return scores, freedom
 
 
@@ -115,7 +115,7 @@ def plane_scores(
     `flat`: variances of cells on flat planes. Each plane is assumed to be flat, and the fit under the problem's
     variances follows to first order: a plane with reduced weight must be tested with full weight.
     """
-    scores, freedom = np.zeros(len(fit.layout.planes)), np.zeros(len(fit.layout.planes))
+    scores, freedom = np.zeros(len(fit.state.planes)), np.zeros(len(fit.state.planes))
     planes = np.array([patch.plane for patch in problem.parts])
     for plane in np.flatnonzero(np.bincount(planes) > 1):
         flattened, own = reweighted(problem, fit, np.flatnonzero(planes == plane).tolist(), flat)

@@ -11,16 +11,34 @@ which the fit has absorbed a known part. To first order, the waves move the room
 that see one wall see the same waves.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Generic
 
 import numpy as np
 
 from calib.estimation.noise import NoiseLevels
-from calib.estimation.problem import AnyPlanes, Fit, PlanePart, Problem
+from calib.estimation.problem import AnyLayout, AnyPlanes, Fit, Part, PlanePart, Problem
 from calib.geometry import tangent_basis
 from calib.numerics import CUBIC, Floats, Ints, by_pixel, orthonormal_polynomials
-from calib.refinement import Shifts
+
+# Camera pixels (N, 2), projector pixels (N, 2), and their gradient (N, 2, 2) (rows) by the camera's x and y → the shift
+# (N, 2) of the projector pixels.
+Shift = Callable[[Floats, Floats, Floats], Floats]
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """Possible shift fields of a capture's matches, of one standard deviation each: `likely` ones, and undetectable
+    `possible` ones. `smooth_px`: smooth decoding error over each plane along either axis, as the standard deviation of
+    the amplitude of every polynomial up to cubic, orthonormal in the mean. `decoding`: other decoding errors, which
+    occur with or without motion.
+    """
+
+    likely: tuple[Shift, ...] = ()
+    possible: tuple[Shift, ...] = ()
+    smooth_px: float = 0.0
+    decoding: tuple[Shift, ...] = ()
 
 
 def covariance_of_shifts(
@@ -38,17 +56,21 @@ def covariance_of_shifts(
     hidden = [_hidden_px(patches, variances, station, len(columns) / len(patches)) for station in range(len(shifts))]
     for station, of_station in enumerate(shifts):
         every = (*of_station.likely, *of_station.possible)
-        together = np.zeros((fit.layout.size, len(every)))
+        together = np.zeros((fit.state.size, len(every)))
         apart = []
         for patch, variance in zip(patches, variances, strict=True):
             if patch.capture != station:
                 continue
             if every:
-                at = patch.cells.camera_px, patch.cells.projector_px, _gradient(fit.layout, patch)
-                together += _pull(fit.layout, patch, variance, np.stack([shift(*at) for shift in every], axis=2))
+                at = patch.cells.camera_px, patch.cells.projector_px, _gradient(fit.state, patch)
+                together += pull_of_shifts(
+                    fit.state, patch, variance, np.stack([shift(*at) for shift in every], axis=2)
+                )
             if of_station.smooth_px:
                 smooth_px = min(of_station.smooth_px, hidden[station])
-                apart.append(_pull(fit.layout, patch, variance, smooth_px * _fields(patch)))
+                apart.append(
+                    pull_of_shifts(fit.state, patch, variance, smooth_px * smooth_fields(patch.cells.camera_px))
+                )
         pull = np.concatenate([together, *apart], axis=1)[columns]
         if pull.shape[1]:
             moved = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull)
@@ -75,20 +97,24 @@ def _hidden_px(
     return float(np.sqrt(np.sqrt(2 / freedom) / np.mean(own))) if freedom > 1 else np.inf
 
 
-def _fields(patch: PlanePart[AnyPlanes]) -> Floats:
-    """Every polynomial up to the cubic ones over a patch, orthonormal in the mean, along either axis, (M, 2, 2 K)."""
-    modes = orthonormal_polynomials(patch.cells.camera_px)
-    along = np.zeros((len(patch.cells), 2, 2 * modes.shape[1]))
-    along[:, 0, : modes.shape[1]] = along[:, 1, modes.shape[1] :] = np.sqrt(len(patch.cells)) * modes
+def smooth_fields(camera_px: Floats) -> Floats:
+    """Every polynomial up to the cubic ones over pixels (M, 2), orthonormal in the mean, along either axis.
+
+    They are (M, 2, 2 K).
+    """
+    modes = orthonormal_polynomials(camera_px)
+    along = np.zeros((len(camera_px), 2, 2 * modes.shape[1]))
+    along[:, 0, : modes.shape[1]] = along[:, 1, modes.shape[1] :] = np.sqrt(len(camera_px)) * modes
     return along
 
 
-def _pull(layout: AnyPlanes, patch: PlanePart[AnyPlanes], variance: Floats, fields: Floats) -> Floats:
-    """Σ Jᵀ s / v for fields s (M, 2, K), (size, K)."""
-    _, jacobian, _ = patch.predict(layout)
+def pull_of_shifts(layout: AnyLayout, part: Part[AnyLayout], variance: Floats, fields: Floats) -> Floats:
+    """Σ Jᵀ s / v for fields s (M, 2, K) over a part's cells, (size, K)."""
+    _, jacobian, _ = part.predict(layout)
     own = np.einsum("nac,nak->ck", jacobian / variance[:, None, None], fields, optimize=True)
+    carried = part.carried(layout)
     pull = np.zeros((layout.size, fields.shape[2]))
-    pull[patch.columns(layout)] = patch.carried(layout).T @ own
+    pull[part.columns(layout)] = own if carried is None else carried.T @ own
     return pull
 
 
@@ -111,14 +137,14 @@ def covariance_of_waves(
     With it their root mean square heights (P,) in baselines; 0 for planes that may be flat.
     """
     columns = np.flatnonzero(problem.free)
-    covariance, heights = np.zeros_like(fit.information), np.zeros(len(fit.layout.planes))
+    covariance, heights = np.zeros_like(fit.information), np.zeros(len(fit.state.planes))
     for plane in np.flatnonzero(levels.planes > 1).tolist():
         on_plane = [
             _Waves(fit, patch, residual, variance)
             for patch, residual, variance in zip(problem.parts, fit.residuals, problem.variances, strict=True)
             if patch.plane == plane
         ]
-        modes = modes_over([waves.patch.points(fit.layout) for waves in on_plane], fit.layout.planes[plane].normal)
+        modes = modes_over([waves.patch.points(fit.state) for waves in on_plane], fit.state.planes[plane].normal)
         pull = np.sum([waves.pull(of_patch) for waves, of_patch in zip(on_plane, modes, strict=True)], axis=0)
         moved = np.zeros_like(pull)
         moved[columns] = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull[columns])
@@ -142,18 +168,18 @@ class _Waves(Generic[AnyPlanes]):
 
     def __init__(self, fit: Fit[AnyPlanes], patch: PlanePart[AnyPlanes], residual: Floats, variance: Floats) -> None:
         self.fit, self.patch = fit, patch
-        _, self.jacobian, _ = patch.predict(fit.layout)
+        _, self.jacobian, _ = patch.predict(fit.state)
         self.by_height = self.jacobian[:, :, -1]
         self.root = np.linalg.norm(self.by_height, axis=1) / np.sqrt(variance)
         self.variance, self.residual = variance, residual
         self.low = orthonormal_polynomials(patch.cells.camera_px, self.root)
-        self.columns: Ints = patch.columns(fit.layout)
+        self.columns: Ints = patch.columns(fit.state)
 
     def pull(self, modes: Floats) -> Floats:
         """Σ Jᵀ s / v of the shifts s by modes (M, K), (size, K)."""
         weighted = np.einsum("nac,na->nc", self.jacobian, self.by_height / self.variance[:, None])
-        pull = np.zeros((self.fit.layout.size, modes.shape[1]))
-        pull[self.columns] = self.patch.carried(self.fit.layout).T @ (weighted.T @ modes)
+        pull = np.zeros((self.fit.state.size, modes.shape[1]))
+        pull[self.columns] = self.patch.carried(self.fit.state).T @ (weighted.T @ modes)
         return pull
 
     def energy(self) -> float:
@@ -162,7 +188,7 @@ class _Waves(Generic[AnyPlanes]):
 
     def energy_left(self, modes: Floats, moved: Floats) -> float:
         """The same for modes (M, K), all together, where the fit has followed them by steps (size, K)."""
-        own = self.patch.carried(self.fit.layout) @ moved[self.columns]
+        own = self.patch.carried(self.fit.state) @ moved[self.columns]
         return self._in_long_waves(self.by_height[:, :, None] * modes[:, None, :] - self.jacobian @ own)
 
     def _in_long_waves(self, shifts: Floats) -> float:

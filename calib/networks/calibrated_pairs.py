@@ -12,19 +12,8 @@ import numpy as np
 from calib.estimation import Term
 from calib.geometry import cross_matrix, tangent_basis
 from calib.networks.network import PER_NODE, PLACE, Network
-from calib.numerics import Floats, Ints
-from calib.refinement import (
-    CAMERA,
-    PER_DEVICE,
-    PROJECTOR,
-    ROTATION,
-    SHARED,
-    TRANSLATION,
-    KnownRig,
-    Prior,
-    State,
-    inverse_of,
-)
+from calib.numerics import Floats, Ints, inverse_of
+from calib.refinement import CAMERA, PER_DEVICE, PROJECTOR, ROTATION, SHARED, TRANSLATION, KnownRig, Prior, State
 
 _TURN = slice(PER_DEVICE, PLACE.start)  # of a device's columns
 

@@ -145,12 +145,12 @@ def strains(sights: Sequence[PlaneObservation], fit: Fit[Network]) -> dict[int, 
     """By number of the pair, of all that have a sight."""
     residuals: dict[int, list[Floats]] = {}
     for sight, residual in zip(sights, fit.residuals, strict=True):
-        by_height = sight.predict(fit.layout)[1][:, :, -1]
+        by_height = sight.predict(fit.state)[1][:, :, -1]
         size = np.linalg.norm(by_height, axis=1)
         across = (by_height[:, 1] * residual[:, 0] - by_height[:, 0] * residual[:, 1]) / size
         height = np.sum(by_height * residual, axis=1) / size**2
-        eye = fit.layout.devices[sight.camera].pose.translation
-        relative = height / np.linalg.norm(sight.points(fit.layout) - eye, axis=1)
+        eye = fit.state.devices[sight.camera].pose.translation
+        relative = height / np.linalg.norm(sight.points(fit.state) - eye, axis=1)
         residuals.setdefault(sight.capture, []).append(np.abs([across, sight.cells.sigma_px, relative]))
     return {
         capture: Strain(robust_sigma(across), median(sigma), robust_sigma(relative))

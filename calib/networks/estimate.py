@@ -9,6 +9,8 @@ from calib.estimation import (
     CONVERGED,
     WRONG_ASSOCIATION,
     Fit,
+    Noise,
+    Shifts,
     association_scores,
     covariance_of_shifts,
     separate_plane,
@@ -24,7 +26,7 @@ from calib.networks.prior import NetworkKnowledge
 from calib.networks.warps import Warps, find_warps, is_strained, or_moved, warped, weighed
 from calib.networks.weights import Weights
 from calib.numerics import Floats, evenly
-from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts
+from calib.refinement import SQUARENESS_DEG, LensPrior
 from calib.refusal import RefusalError
 from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self_calibrate
 
@@ -67,7 +69,7 @@ class NetworkEstimate:
     @property
     def network(self) -> Network:
         """The most likely one."""
-        return self.fit.layout
+        return self.fit.state
 
     def device(self, name: str) -> Device:
         """One of the devices."""
@@ -198,12 +200,12 @@ def _first_fit(grown: Grown) -> tuple[Sequence[PlaneObservation], Fit[Network], 
     """
     tied, fit = _fit_in_front(grown, grown.network, grown.sights)
     untied, untied_fit = _without_wrong_associations(grown, tied, fit)
-    wrong = len(untied_fit.layout.planes) - len(fit.layout.planes)
+    wrong = len(untied_fit.state.planes) - len(fit.state.planes)
     if not wrong and not is_strained(untied.parts, fit):
         return tied.parts, fit, ""
-    alone = replace(untied, joints=()).minimise(untied_fit.layout, tolerance=ROUGH)
+    alone = replace(untied, joints=()).minimise(untied_fit.state, tolerance=ROUGH)
     as_it_is = Explanation(alone, untied.parts, PER_PLANE * wrong)
-    likely = likeliest(as_it_is, [*moves(grown, tied.parts, fit.layout), warped(grown, tied.parts, fit)])
+    likely = likeliest(as_it_is, [*moves(grown, tied.parts, fit.state), warped(grown, tied.parts, fit)])
     if likely is as_it_is or likely.fit.cost > _EXPLAINED * fit.cost:
         return untied.parts, untied_fit, ""
     return tied.parts, fit, likely.moved
@@ -217,7 +219,7 @@ def _fit_in_front(
     while True:
         problem = replace(grown.problem(network, kept), joints=grown.joints(network))
         fit = problem.minimise(network, tolerance=ROUGH)
-        network, kept = _in_front(fit.layout, kept)
+        network, kept = _in_front(fit.state, kept)
         if len(kept) == len(problem.parts):
             return problem, fit
 
@@ -232,12 +234,12 @@ def _without_wrong_associations(
         limit = (
             WRONG_ASSOCIATION * max(float(np.median(per_freedom[freedom > 0])), 1.0) if (freedom > 0).any() else np.inf
         )
-        network, sights = fit.layout, tuple(problem.parts)
+        network, sights = fit.state, tuple(problem.parts)
         for plane in range(len(network.planes)):
             worst = max((i for i, s in enumerate(sights) if s.plane == plane), key=lambda i: float(per_freedom[i]))
             if per_freedom[worst] > limit:
                 network, sights = separate_plane(network, sights, worst)
-        if len(network.planes) == len(fit.layout.planes):
+        if len(network.planes) == len(fit.state.planes):
             return problem, fit
         problem, fit = _fit_in_front(grown, network, sights)
 
@@ -257,15 +259,15 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
     pairs = tuple(grown.labelled)
     sights, fit, moved = _first_fit(grown)
     if moved:
-        warps, weights = Warps(moved=moved), Weights(grown.problem(fit.layout, sights), rough=True)
+        warps, weights = Warps(moved=moved), Weights(grown.problem(fit.state, sights), rough=True)
     else:
         warps, fit, weights = find_warps(grown, sights, fit)
     for last in range(_ROUNDS):
         levels, weights = weights.measured_anew(grown, fit)
-        fit = weights.fitted(fit.layout, CONVERGED if last == _ROUNDS - 1 else ROUGH)
-    waves = np.zeros(len(fit.layout.planes))
+        fit = weights.fitted(fit.state, CONVERGED if last == _ROUNDS - 1 else ROUGH)
+    waves = np.zeros(len(fit.state.planes))
     for plane, surface in enumerate(weights.surfaces):
-        heights = surface.solved(fit.layout).amplitudes
+        heights = surface.solved(fit.state).amplitudes
         waves[plane] = np.sqrt(np.mean(np.square(np.concatenate(surface.modes) @ heights)))
     of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
     hidden, of_warps = weighed(weights.problem, fit, grown.names)

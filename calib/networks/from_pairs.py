@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from calib.estimation import CONVERGED, Fit
+from calib.estimation import CONVERGED, Fit, Noise
 from calib.geometry import IDENTITY, NO_FACE, Matches, Size, depths_of_rays
 from calib.networks.calibrated_pairs import CalibratedPair
 from calib.networks.diagnostics import Strain, not_connected
@@ -23,8 +23,8 @@ from calib.networks.observations import NetworkProblem, Overlaps, PairName
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.shared_points import SharedPoints
 from calib.networks.warps import Warps
-from calib.numerics import Bools, Floats, evenly, robust_sigma
-from calib.refinement import SQUARENESS_DEG, Knowledge, KnownRig, LensPrior, Noise, covariance_of
+from calib.numerics import Bools, Floats, covariance_of, evenly, robust_sigma
+from calib.refinement import SQUARENESS_DEG, Knowledge, KnownRig, LensPrior
 from calib.self_calibration import PrincipalPoint
 
 T = TypeVar("T")
@@ -131,7 +131,7 @@ def estimate_from_pairs(
     free = knowledge.free(network, names)
     for number in range(_ROUNDS):
         fit = _fitted(seen, network, names, free, CONVERGED if number == _ROUNDS - 1 else ROUGH)
-        network = fit.layout
+        network = fit.state
     covariance = covariance_of(fit.information, free)
     disagreements = seen.disagreements(network, names, covariance)
     square, expected = np.sum([*disagreements.values()], axis=0)
@@ -190,7 +190,7 @@ def _with_next(seen: _Stations, network: Network, names: tuple[str, ...]) -> tup
             alone = np.zeros(more.size, np.bool_)
             alone[more.device_columns(len(names))] = True
             fit = _fitted(seen, more, named, alone & seen.knowledge.free(more, named), ROUGH)
-            return fit.layout, named
+            return fit.state, named
     return None
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.closed_form import resected
+from calib.estimation import into_cells
 from calib.geometry import (
     IDENTITY,
     NO_FACE,
@@ -29,7 +30,7 @@ from calib.networks.prior import NetworkKnowledge
 from calib.networks.raster import label_map, read
 from calib.networks.shared_points import SharedPoints
 from calib.numerics import Bools, Floats, evenly
-from calib.refinement import device_of, into_cells
+from calib.refinement import device_of
 from calib.self_calibration import SelfCalibration
 
 _USUAL_FOCAL = 1.2  # image widths
@@ -277,7 +278,7 @@ class Grown:
         network = self.network
         for _ in range(_ROUNDS):
             problem = replace(self.problem(network, self.sights), free=free, joints=self.joints(network))
-            network = problem.minimise(network, tolerance=ROUGH).layout
+            network = problem.minimise(network, tolerance=ROUGH).state
             if not problem.joints:
                 break
         return replace(self, network=network)

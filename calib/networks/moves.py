@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.estimation import Fit, Term
+from calib.estimation import Fit, Term, long_waves
 from calib.geometry import PER_PLANE, PER_POSE
 from calib.networks.initialisation import ROUGH, Grown
 from calib.networks.network import Network
 from calib.networks.observations import PlaneObservation
 from calib.numerics import CUBIC
-from calib.refinement import PER_DEVICE, long_waves
+from calib.refinement import PER_DEVICE
 
 _SAME = np.array([1e-5, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])  # of log f, x_0, y_0, k1, k2, p1, p2, k3
 _FAR_LIKELIER = 10.0  # of the criterion: odds of 150 to 1

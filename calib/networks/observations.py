@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.estimation import Problem
+from calib.estimation import Cells, Problem
 from calib.geometry import PER_PLANE, Matches, Plane, Pose, Size, cross_matrix, tangent_basis, unproject
 from calib.networks.network import PER_NODE, PER_WARP, WARP, Device, Network
 from calib.networks.raster import ImageRaster, SeenAt, depths
 from calib.networks.shared_points import SharedPoints, shared_points
 from calib.numerics import Bools, Floats, Ints
-from calib.refinement import PER_DEVICE, Cells
+from calib.refinement import PER_DEVICE
 
 PER_SIGHT = 2 * PER_NODE + PER_PLANE
 _AXES = np.eye(3)

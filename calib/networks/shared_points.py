@@ -12,12 +12,12 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from calib.estimation import Term, block_inflation
+from calib.estimation import ROBUST_SIGMAS, Term, block_inflation
 from calib.geometry import cross_matrix
 from calib.networks.network import PER_NODE, PLACE, WARP, Device, Network
 from calib.networks.raster import ImageRaster, SeenAt, depths
 from calib.numerics import Bools, Floats, Ints, evenly
-from calib.refinement import PER_DEVICE, ROBUST_SIGMAS
+from calib.refinement import PER_DEVICE
 
 _MOST, _FEWEST = 2000, 30
 _STEPS = 4

@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.estimation import Fit, Term, modes_over
+from calib.estimation import ROBUST_SIGMAS, Fit, Term, modes_over
 from calib.networks.network import Network
 from calib.networks.observations import NetworkProblem, PlaneObservation
 from calib.numerics import Floats, huber_loss, huber_weights
-from calib.refinement import ROBUST_SIGMAS
 
 _ROUNDS = 3
 _BEHIND = 100.0
@@ -106,12 +105,12 @@ def surfaces_of(problem: NetworkProblem, fit: Fit[Network]) -> tuple[PlaneRelief
     sights, variances = problem.parts, problem.variances
     found = []
     squares = []
-    for plane, flat in enumerate(fit.layout.planes):
+    for plane, flat in enumerate(fit.state.planes):
         own = [i for i, sight in enumerate(sights) if sight.plane == plane]
-        modes = modes_over([sights[i].points(fit.layout) for i in own], flat.normal, _MARGIN)
+        modes = modes_over([sights[i].points(fit.state) for i in own], flat.normal, _MARGIN)
         found.append(PlaneRelief(tuple(sights[i] for i in own), tuple(variances[i] for i in own), tuple(modes), 1.0))
         for i, each in zip(own, modes, strict=True):
-            by_height = sights[i].predict(fit.layout)[1][:, :, -1]
+            by_height = sights[i].predict(fit.state)[1][:, :, -1]
             heights = np.sum(by_height * fit.residuals[i], axis=1) / np.sum(by_height**2, axis=1)
             squares.append(np.median(heights**2) / np.mean(np.sum(each**2, axis=1)))
     steepness = float(np.sqrt(4 * np.max(squares)))

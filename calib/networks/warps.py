@@ -77,27 +77,27 @@ def find_warps(
     grown: Grown, sights: Sequence[PlaneObservation], fit: Fit[Network]
 ) -> tuple[Warps, Fit[Network], Weights]:
     """From a fit under the scatter of matches; also one without a warp, and the weights that it was made with."""
-    free, devices = grown.free(fit.layout), range(len(grown.names))
-    weights = Weights(grown.problem(fit.layout, sights), rough=True).freeing(_freed(fit.layout, free, devices))
-    whole = weights.fitted(fit.layout, _FOR_NOISE * fit.cost)
+    free, devices = grown.free(fit.state), range(len(grown.names))
+    weights = Weights(grown.problem(fit.state, sights), rough=True).freeing(_freed(fit.state, free, devices))
+    whole = weights.fitted(fit.state, _FOR_NOISE * fit.cost)
     for _ in range(_ROUNDS):
         _, weights = weights.measured_anew(grown, whole)
-        whole = weights.fitted(whole.layout, _ENOUGH)
+        whole = weights.fitted(whole.state, _ENOUGH)
     usual = weights.freeing(free)
-    none = usual.fitted(_without_warps(whole.layout), _ENOUGH)
+    none = usual.fitted(_without_warps(whole.state), _ENOUGH)
     if none.cost - whole.cost < _by_chance(PER_WARP) or is_strained(sights, whole):
         return Warps(), none, usual
-    whole = weights.fitted(whole.layout, ROUGH)
+    whole = weights.fitted(whole.state, ROUGH)
     # From walls that waves bent to fit a warp, a descent may end before it is down.
-    starts = none.layout, fit.layout
+    starts = none.state, fit.state
     none = min((usual.fitted(start, ROUGH) for start in starts), key=lambda start: start.cost)
     if none.cost - whole.cost < _by_chance(PER_WARP):
         return Warps(), none, usual
     candidates = []
     for number, name in enumerate(grown.names):
-        start, columns = _without_warps(whole.layout, but=number), _freed(fit.layout, free, (number,))
+        start, columns = _without_warps(whole.state, but=number), _freed(fit.state, free, (number,))
         alone = weights.freeing(columns).fitted(start, ROUGH)
-        candidates.append(Warp(name, none.cost - alone.cost, alone.layout.devices[number].warp))
+        candidates.append(Warp(name, none.cost - alone.cost, alone.state.devices[number].warp))
     candidates.sort(key=lambda candidate: -candidate.gain)
     several = none.cost - whole.cost - candidates[0].gain > _by_chance(PER_WARP * (len(devices) - 1))
     if several or candidates[0].gain < _by_chance(PER_WARP):
@@ -112,7 +112,7 @@ def weighed(problem: NetworkProblem, fit: Fit[Network], names: Sequence[str]) ->
     """
     alternatives = []
     for number, name in enumerate(names):
-        start = fit.layout.device_columns(number).start + WARP.start
+        start = fit.state.device_columns(number).start + WARP.start
         for k, (probability, spread) in enumerate(zip(_PROBABILITY, WARP_SIGMA.tolist(), strict=True)):
             alternatives.append(
                 (name, k, alternative(fit.information, fit.gradient, problem.free, start + k, probability, spread))
@@ -138,7 +138,7 @@ def warped(
 ) -> Explanation:
     """The pictures of these devices, or of all, are warped."""
     devices = [number for number, name in enumerate(grown.names) if names is None or name in names]
-    start, free = _without_warps(fit.layout), _freed(fit.layout, grown.free(fit.layout), devices)
+    start, free = _without_warps(fit.state), _freed(fit.state, grown.free(fit.state), devices)
     problem = replace(grown.problem(start, sights), free=free)
     return Explanation(problem.minimise(start, tolerance=ROUGH), sights, PER_WARP * len(devices))
 
@@ -149,7 +149,7 @@ def or_moved(warps: Warps, grown: Grown, sights: Sequence[PlaneObservation], fit
         return warps
     alone = [warped(grown, sights, fit, [warp.name]) for warp in warps.alone]
     usual = likeliest(warped(grown, sights, fit), alone)
-    moved = likeliest(usual, list(moves(grown, sights, fit.layout))).moved
+    moved = likeliest(usual, list(moves(grown, sights, fit.state))).moved
     return Warps(moved=moved) if moved else warps
 
 

@@ -33,7 +33,7 @@ class Weights:
 
     def measured_anew(self, grown: Grown, fit: Fit[Network]) -> tuple[NoiseLevels, "Weights"]:
         """By the residuals of a fit that these weights led to."""
-        sights, problem = self.problem.parts, replace(self.problem, joints=grown.joints(fit.layout))
+        sights, problem = self.problem.parts, replace(self.problem, joints=grown.joints(fit.state))
         if self.surfaces:
             return self._of_surfaces(len(grown.labelled), fit, problem)
         levels = measured(problem, fit, [1] * len(grown.labelled), one_rig=False)
@@ -49,7 +49,7 @@ class Weights:
 
     def _of_surfaces(self, pairs: int, fit: Fit[Network], problem: NetworkProblem) -> tuple[NoiseLevels, "Weights"]:
         """By what the heights of planes leave of the residuals; with the likeliest steepness of these."""
-        solved = [surface.solved(fit.layout) for surface in self.surfaces]
+        solved = [surface.solved(fit.state) for surface in self.surfaces]
         steepness, determined = likeliest_steepness(self.surfaces, solved, problem.covariance(fit))
         remaining = [
             (sight, residual)
@@ -62,7 +62,7 @@ class Weights:
             own = [(sight.cells, residual) for sight, residual in remaining if sight.capture == capture]
             sighted, residuals = [cells for cells, _ in own], [residual for _, residual in own]
             stations.append(of_station(sighted, residuals, absorbed)[0] if own else UNKNOWN)
-        levels = NoiseLevels(tuple(stations), np.ones(len(fit.layout.planes)), 1.0)
+        levels = NoiseLevels(tuple(stations), np.ones(len(fit.state.planes)), 1.0)
         surfaces = [
             replace(surface, steepness=steep, variances=tuple(levels.variances(surface.sights)))
             for surface, steep in zip(self.surfaces, steepness, strict=True)
@@ -76,5 +76,5 @@ class Weights:
             return problem.minimise(network, tolerance=tolerance)
         uneven = replace(problem, parts=(), variances=(), joints=(*self.surfaces, *problem.joints))
         fit = uneven.minimise(network, tolerance=tolerance)
-        residuals = (sight.predict(fit.layout)[0] - sight.cells.projector_px for sight in problem.parts)
+        residuals = (sight.predict(fit.state)[0] - sight.cells.projector_px for sight in problem.parts)
         return replace(fit, residuals=tuple(residuals))

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from calib.finding import FindingKind
-from calib.numerics.arrays import Floats, Ints
+from calib.numerics.arrays import Bools, Floats, Ints
 from calib.numerics.jit import compiled
 from calib.refusal import RefusalError, Wording
 
@@ -184,6 +184,21 @@ def _add_up(jacobian: Floats, residual: Floats, weight: Floats, hessian: Floats,
     for p in range(size):
         for q in range(p):
             hessian[q, p] = hessian[p, q]
+
+
+def covariance_of(information: Floats, free: Bools | Ints) -> Floats:
+    """Invert the information on the free columns, (size, size); zero elsewhere."""
+    covariance = np.zeros_like(information)
+    chosen = np.ix_(free, free)
+    covariance[chosen] = inverse_of(information[chosen])
+    return covariance
+
+
+def inverse_of(matrix: Floats) -> Floats:
+    """Return the pseudo-inverse of a symmetric matrix (n, n) whose columns have very different scales."""
+    scale = np.sqrt(np.diag(matrix))
+    inverse: Floats = np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    return inverse
 
 
 NO_CORNER = FindingKind(

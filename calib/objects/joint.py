@@ -13,12 +13,11 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.estimation import Term, add_up
+from calib.estimation import ROBUST_SIGMAS, Term, add_up
 from calib.geometry import IDENTITY, PER_POSE, Pose
 from calib.numerics import Floats, Ints, Quadratic, huber_weights, robust_sigma
 from calib.objects.patch_overlap import overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, ObjectView
-from calib.refinement import ROBUST_SIGMAS
 from calib.registration import couple_places, match_keypoints, step_places
 
 WIDE, NARROW = 3.0, 0.6  # grains

@@ -9,16 +9,13 @@ are off square, with focal lengths that are wrong by a tenth and sigmas of a hun
 aspect, is weighed against the first.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, huber_weights
-from calib.refinement.likelihood import ROBUST_SIGMAS, Fit, Prior
-from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import predict
-from calib.refinement.profile_likelihood import covariance_of
+from calib.estimation import ROBUST_SIGMAS
+from calib.numerics import Bools, Floats, covariance_of, huber_weights
+from calib.refinement.likelihood import CornerFit, CornerProblem
 
 _MOST = 100.0  # logarithm of a likelihood ratio: beyond, it is certain
 # Pictures that are scaled in one direction, and remain so unnoticed: one in a hundred, by about 2 %.
@@ -77,23 +74,23 @@ class PictureScale:
         return self.probability * mean_square * np.outer(self.response, self.response)
 
 
-def picture_scale(captures: Sequence[Cells], fit: Fit, prior: Prior, variances: Sequence[Floats]) -> PictureScale:
-    """Weigh pixels that are not square. `variances`: (M,) for each capture, of each coordinate of each cell."""
+def picture_scale(problem: CornerProblem, fit: CornerFit) -> PictureScale:
+    """Weigh pixels that are not square, from a problem's fit."""
     size = fit.state.size
     information, gradient = np.zeros((size + 1, size + 1)), np.zeros(size + 1)
     information[:size, :size], gradient[:size] = fit.information, fit.gradient
     information[size, size] = _SPREAD**-2.0
-    for i, (cells, residual, variance) in enumerate(zip(captures, fit.residuals, variances, strict=True)):
-        predicted, jacobian, _ = predict(fit.state, cells.camera_px, cells.plane, i)
+    for view, residual, variance in zip(problem.parts, fit.residuals, problem.variances, strict=True):
+        predicted, jacobian, _ = view.predict(fit.state)
         by_aspect = predicted[:, 0] - fit.state.projector[1]
         deviation = np.linalg.norm(residual, axis=1) / np.sqrt(variance)
         weighted = huber_weights(deviation, ROBUST_SIGMAS) / variance * by_aspect
         gradient[size] += weighted @ residual[:, 0]
         information[size, size] += weighted @ by_aspect
-        columns = fit.state.columns(i)
+        columns = view.columns(fit.state)
         np.add.at(information[size], columns, weighted @ jacobian[:, 0])
         information[columns, size] = information[size, columns]
-    wider_model = alternative(information, gradient, np.append(prior.free, False), size, _PROBABILITY, _SPREAD)
+    wider_model = alternative(information, gradient, np.append(problem.free, False), size, _PROBABILITY, _SPREAD)
     return PictureScale(
         wider_model.value, wider_model.sigma, wider_model.odds / (1 + wider_model.odds), wider_model.response[:size]
     )

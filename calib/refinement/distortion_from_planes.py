@@ -9,9 +9,9 @@ from functools import partial
 
 import numpy as np
 
+from calib.estimation import Cells
 from calib.geometry import FACES, Matches, homography_between, project, unproject
 from calib.numerics import Damping, Floats, minimise
-from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import without_lens
 
 # Prior sigma of the bend, in units of the image width: a lens with k1 = 0.1 and a focal length of half a width.

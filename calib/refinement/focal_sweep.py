@@ -18,11 +18,11 @@ from typing import Protocol
 import numpy as np
 
 from calib.closed_form import Objective, Transfer, objective_for
+from calib.estimation import Cells
 from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.refinement.distortion_from_planes import Straightened, straighten
-from calib.refinement.likelihood import Fit, Knowledge, evaluate
-from calib.refinement.match_cells import Cells
+from calib.refinement.likelihood import CornerFit, CornerProblem, Knowledge
 from calib.refinement.parameters import CAMERA, PROJECTOR, PlacedCorner, State, without_lens
 from calib.refinement.profile_minimiser import relax
 
@@ -80,13 +80,13 @@ def family_of(cells: Cells, knowledge: Knowledge) -> Family:
     return Family(objective_for(straightened.matches, knowledge.principal_point_px), straightened)
 
 
-def sweep_one(cells: Cells, family: Starts, focal_px: Floats, knowledge: Knowledge) -> list[Fit | None]:
+def sweep_one(cells: Cells, family: Starts, focal_px: Floats, knowledge: Knowledge) -> list[CornerFit | None]:
     """Return the best fit of one capture with the focal held at each trial (n,); None where there is none.
 
     Each trial has up to three starts: the paper's two solutions, which may lie on other branches, and the fit at the
     previous trial.
     """
-    fits: list[Fit | None] = []
+    fits: list[CornerFit | None] = []
     last: State | None = None
     hopeless = np.inf
     for focal, starts in zip(focal_px, family.starts(focal_px), strict=True):
@@ -98,14 +98,14 @@ def sweep_one(cells: Cells, family: Starts, focal_px: Floats, knowledge: Knowled
 
 
 def sweep_jointly(
-    captures: Sequence[Cells], alone: Sequence[Sequence[Fit | None]], focal_px: Floats, knowledge: Knowledge
-) -> list[Fit | None]:
+    captures: Sequence[Cells], alone: Sequence[Sequence[CornerFit | None]], focal_px: Floats, knowledge: Knowledge
+) -> list[CornerFit | None]:
     """Return the best joint fit at each trial (n,), given the fits of each capture alone; None where there is none.
 
     The sum of the separate costs is a lower bound of the joint cost, so trials whose separate fits are already
     hopeless are skipped.
     """
-    fits: list[Fit | None] = [None] * len(focal_px)
+    fits: list[CornerFit | None] = [None] * len(focal_px)
     bounds = np.array([sum(fit.cost if fit else np.inf for fit in trial) for trial in zip(*alone, strict=True)])
     lowest, count = np.inf, sum(len(cells) for cells in captures)
     for trial in np.argsort(bounds):
@@ -121,16 +121,15 @@ def sweep_jointly(
     return fits
 
 
-def twins(cells: Cells, family: Starts, fit: Fit, knowledge: Knowledge) -> list[Fit]:
+def twins(cells: Cells, family: Starts, fit: CornerFit, knowledge: Knowledge) -> list[CornerFit]:
     """Refit one capture at the focal of `fit`, starting from both of the paper's solutions there."""
     (starts,) = family.starts(np.array([fit.state.camera[0]]))
     starts = [knowledge.holding(state) for state in starts]
-    prior = knowledge.prior(fit.state).holding(CAMERA.start)
-    variances = [np.full(len(cells), _SIGMA_PX**2)]
-    return [relax([cells], state, prior, variances) for state in starts]
+    anchored = _problem([cells], fit.state, knowledge).holding(CAMERA.start)
+    return [relax(anchored, state) for state in starts]
 
 
-def minima(sweep: Sequence[Fit | None]) -> list[Fit]:
+def minima(sweep: Sequence[CornerFit | None]) -> list[CornerFit]:
     """Return the local minima of a sweep, ends included, best first, without the hopeless ones."""
     fits = [fit for fit in sweep if fit]
     costs = np.array([np.inf, *(fit.cost for fit in fits), np.inf])
@@ -154,7 +153,7 @@ def _best(
     focal: float,
     knowledge: Knowledge,
     hopeless: float = np.inf,
-) -> Fit | None:
+) -> CornerFit | None:
     """Return the best fit with the focal held, from the starts and from the fit at another trial.
 
     Fits whose cost exceeds `hopeless` are not converged fully.
@@ -162,21 +161,25 @@ def _best(
     tried = [knowledge.holding(state) for state in starts] + ([at_focal(last, focal)] if last else [])
     if not tried:
         return None
-    prior = knowledge.prior(tried[0]).holding(CAMERA.start)
-    variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
-    best: Fit | None = None
+    anchored = _problem(captures, tried[0], knowledge).holding(CAMERA.start)
+    best: CornerFit | None = None
     for state in reversed(tried):  # the fit at another trial is usually the best
         ceiling = min(best.cost, hopeless) if best else hopeless
-        fit = relax(captures, state, prior, variances, tolerance=_TOLERANCE, steps=_STEPS, ceiling=ceiling)
+        fit = relax(anchored, state, tolerance=_TOLERANCE, steps=_STEPS, ceiling=ceiling)
         if fit.cost < (best.cost if best else np.inf):
             best = fit
     return best
 
 
 def _most_promising(captures: Sequence[Cells], starts: list[State], knowledge: Knowledge) -> list[State]:
-    prior = knowledge.prior(starts[0])
+    problem = _problem(captures, starts[0], knowledge)
+    return sorted(starts, key=lambda state: problem.evaluate(state).cost)[:1]
+
+
+def _problem(captures: Sequence[Cells], layout: State, knowledge: Knowledge) -> CornerProblem:
+    """Of captures whose noise is not measured yet."""
     variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
-    return sorted(starts, key=lambda state: evaluate(captures, state, prior, variances).cost)[:1]
+    return CornerProblem.of(captures, knowledge.prior(layout), variances)
 
 
 def _combined(shared: State, alone: Sequence[State]) -> State:

@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.estimation import Cells, into_cells, joined
 from calib.geometry import FACES, Matches, nearest_depths, unproject
 from calib.numerics import Floats, Ints
-from calib.refinement.likelihood import Fit
-from calib.refinement.match_cells import Cells, into_cells, joined
+from calib.refinement.likelihood import CornerFit, CornerProblem
 from calib.refinement.parameters import FurtherPlane, State
 
 SIGMA_DEG = 0.5  # alignment of furniture with walls, and squareness of boxes
@@ -60,16 +60,14 @@ def oblique_planes(state: State) -> list[tuple[int, int]]:
     ]
 
 
-def unexplained(
-    captures: Sequence[Cells], fit: Fit, variances: Sequence[Floats], of_faces: float
-) -> list[tuple[int, int]]:
+def unexplained(problem: CornerProblem, fit: CornerFit, of_faces: float) -> list[tuple[int, int]]:
     """Return the worst-fitting plane, as `oblique_planes` does, if it fits much worse than the faces alone.
 
-    `of_faces`: the mean square residual of the faces. `variances`: (M,) for each capture, of each coordinate of each
-    cell.
+    `of_faces`: the mean square residual of the faces.
     """
     worst, planes = _MOST_OFF * of_faces, []
-    for i, (cells, residual, variance) in enumerate(zip(captures, fit.residuals, variances, strict=True)):
+    of_captures = zip(problem.captures, fit.residuals, problem.variances, strict=True)
+    for i, (cells, residual, variance) in enumerate(of_captures):
         for plane in range(len(FACES), len(FACES) + len(fit.state.corners[i].planes)):
             off = mean_square(residual[cells.plane == plane], variance[cells.plane == plane])
             if off > worst:

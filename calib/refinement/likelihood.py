@@ -1,29 +1,28 @@
-"""The likelihood of all captures for a state, with derivatives, and the prior.
+"""The problem of captures that show corners: what is known before, and their cells.
 
 The cost is Σ |r_i|² / v_i + Σ ((p − prior) / σ_prior)². r_i is the deviation of a cell of matches in projector pixels,
-v_i the variance of each of its coordinates; Huber's loss applies beyond three sigmas.
+v_i the variance of each of its coordinates; Huber's loss applies beyond three sigmas (`calib.estimation.problem`).
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
+from calib.estimation import Cells, ColumnPrior, Fit, Population, Problem, Term
 from calib.geometry import PER_PLANE, PER_POSE
-from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
-from calib.refinement.match_cells import Cells
+from calib.numerics import Bools, Damping, Floats, Ints
 from calib.refinement.parameters import CAMERA, PER_CORNER, PROJECTOR, SHARED, TANGENTIAL, State, predict
-from calib.refinement.priors import ORDINARY_LENSES, ColumnPrior, KnownRig, LensPrior, Population, PrincipalPoint
+from calib.refinement.priors import ORDINARY_LENSES, KnownRig, LensPrior, PrincipalPoint
 from calib.refusal import PHOTOS, RIG, Wording
 
+_DAMPING = Damping(first=1e-7, least=1e-13, most=1e4, growth=30.0, relief=1 / 30)
 SQUARENESS_DEG = 0.3  # standard deviation of the angles between walls of ordinary rooms around 90°
 # The same of populations, and how common they are. DIN 18202, table 2, allows edges of 0.5 to 1 m 6 mm, of 1 to 3 m
 # 8 mm, of 3 to 6 m 12 mm: 0.1 to 0.3°. Rooms of old houses are about 1° off.
 SQUARENESSES_DEG = tuple((sigma_deg, 1 / 3) for sigma_deg in (0.1, 0.3, 0.9))
-ROBUST_SIGMAS = 3.0
-_LEAST_IN_FRONT = 0.98
-_BEHIND = 100.0  # cost of a cell behind a device, as for a deviation of ten sigmas
 
 
 @dataclass(frozen=True)
@@ -50,11 +49,6 @@ class Prior(ColumnPrior):
             free[self.held] = False
         return free
 
-    @cached_property
-    def free_columns(self) -> Ints:
-        """Indices of the columns that are estimated."""
-        return np.flatnonzero(self.free)
-
     def radial_scale(self, state: State, reference: State) -> Floats:
         """Return the ratio (size,) of terms that distort the image equally in `state` and in `reference`."""
         ratio = np.ones(len(self.powers))
@@ -73,6 +67,12 @@ class Prior(ColumnPrior):
         changed = self.sigma.copy()
         changed[columns] = sigma
         return replace(self, sigma=changed)
+
+    def terms(self, state: State) -> Iterator[Term]:
+        """What it adds to the cost of a state."""
+        yield Term.of_prior(self, state.additive())
+        if self.rig is not None:
+            yield Term(*self.rig.misfit(state), np.arange(SHARED))
 
     def holding(self, column: int) -> "Prior":
         """Return a copy for a minimisation that leaves one column unchanged."""
@@ -193,86 +193,55 @@ class Knowledge:
             yield Population.of(angles, in_radians)
 
 
-@dataclass(frozen=True)
-class Fit(Quadratic):
-    """A state with its cost, and the captures' `residuals` (M, 2) in projector px."""
+@dataclass(frozen=True, eq=False)
+class CornerView:
+    """Cells of the corner's faces, and of further planes, in one capture."""
 
-    state: State
-    residuals: tuple[Floats, ...]
+    cells: Cells
+    """(M,)."""
+    capture: int
+    """Number of the capture."""
+
+    def predict(self, state: State) -> tuple[Floats, Floats, Floats]:
+        """Projector pixels (M, 2) of the cells, their Jacobian (M, 2, Q) by `columns`, and depths (M, 2)."""
+        return predict(state, self.cells.camera_px, self.cells.plane, self.capture)
+
+    def columns(self, state: State) -> Ints:
+        """The state's columns that it depends on, (Q,)."""
+        return state.columns(self.capture)
+
+    def carried(self, state: State) -> None:
+        """None: it has no columns of its own."""
 
 
-def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: Sequence[Floats]) -> Fit:
-    """Return the cost of a state with its derivatives; infinite if more than a few points fall behind a device.
+CornerFit = Fit[State]
 
-    `variances`: (M,) for each capture, of each coordinate of each cell.
+
+@dataclass(frozen=True, eq=False)
+class CornerProblem(Problem[State, CornerView]):
+    """What captures and a prior tell of a rig and the corners that it sees.
+
+    The cost is infinite if more than a few points of a capture fall behind a device.
     """
-    of_columns, gradient, curvature = prior.misfit(state.additive())
-    cost, information = float(of_columns.sum()), np.diag(curvature)
-    if prior.rig is not None:
-        misfit_of_rig, slope, of_rig = prior.rig.misfit(state)
-        cost += misfit_of_rig
-        gradient[:SHARED] += slope
-        information[:SHARED, :SHARED] += of_rig
-    residuals = []
-    for i, (cells, variance) in enumerate(zip(captures, variances, strict=True)):
-        predicted, jacobian, depths = predict(state, cells.camera_px, cells.plane, i)
-        residual = np.empty(predicted.shape)
-        cost += misfit(
-            predicted,
-            np.ascontiguousarray(cells.projector_px),
-            jacobian,
-            depths,
-            variance,
-            state.columns(i),
-            residual,
-            gradient,
-            information,
-        )
-        residuals.append(residual)
-    return Fit(cost, gradient, information, state, tuple(residuals))
 
+    prior: Prior
+    """Of rig and corners."""
 
-@compiled
-def misfit(
-    predicted: Floats,
-    observed: Floats,
-    jacobian: Floats,
-    depths: Floats,
-    variance: Floats,
-    columns: Ints,
-    residual: Floats,
-    gradient: Floats,
-    information: Floats,
-) -> float:
-    """Return cost and residuals of one capture's cells; add to half the gradient and half the Gauss–Newton Hessian.
+    @classmethod
+    def of(cls, captures: Sequence[Cells], prior: Prior, variances: Sequence[Floats]) -> Self:
+        """Of captures' cells with their `variances` (M,), estimating the columns that the prior leaves free."""
+        views = tuple(CornerView(cells, i) for i, cells in enumerate(captures))
+        return cls(views, tuple(variances), prior, prior.free, behind=np.inf, damping=_DAMPING)
 
-    A cell behind a device, or on the horizon, has a constant cost.
-    """
-    cost, behind, count = 0.0, 0, len(columns)
-    slope, curvature = np.zeros(count), np.zeros((count, count))
-    for i in range(len(predicted)):
-        total = 0.0
-        for a in range(count):
-            total += jacobian[i, 0, a] + jacobian[i, 1, a]
-        if not (depths[i, 0] > 0 and depths[i, 1] > 0 and np.isfinite(total)):
-            residual[i, 0], residual[i, 1] = 0.0, 0.0
-            cost += _BEHIND
-            behind += 1
-            continue
-        x, y = predicted[i, 0] - observed[i, 0], predicted[i, 1] - observed[i, 1]
-        residual[i, 0], residual[i, 1] = x, y
-        # Huber's loss: the square up to the threshold, linear beyond it.
-        size = np.sqrt((x * x + y * y) / variance[i])
-        robust = min(1.0, ROBUST_SIGMAS / size)
-        cost += robust * size * (2 * size - robust * size)
-        weight = robust / variance[i]
-        for a in range(count):
-            by_x, by_y = weight * jacobian[i, 0, a], weight * jacobian[i, 1, a]
-            slope[a] += by_x * x + by_y * y
-            for b in range(a + 1):
-                curvature[a, b] += by_x * jacobian[i, 0, b] + by_y * jacobian[i, 1, b]
-    for a in range(count):
-        gradient[columns[a]] += slope[a]
-        for b in range(count):
-            information[columns[a], columns[b]] += curvature[max(a, b), min(a, b)]
-    return cost if behind <= (1 - _LEAST_IN_FRONT) * len(predicted) else np.inf
+    @property
+    def captures(self) -> tuple[Cells, ...]:
+        """The cells of each capture."""
+        return tuple(view.cells for view in self.parts)
+
+    def under(self, prior: Prior) -> Self:
+        """The same captures under another prior."""
+        return replace(self, prior=prior, free=prior.free)
+
+    def holding(self, column: int) -> Self:
+        """The problem with one column held for now; its prior still counts."""
+        return self.under(self.prior.holding(column))

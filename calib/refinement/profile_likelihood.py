@@ -7,14 +7,12 @@ curvature of the cost, along it from the cost and the width of the valley. A sig
 Gaussian, and otherwise insensitive to tails that are less probable than one in twenty.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints
-from calib.refinement.likelihood import Fit, Prior
-from calib.refinement.match_cells import Cells
+from calib.numerics import Bools, Floats, covariance_of
+from calib.refinement.likelihood import CornerFit, CornerProblem, Prior
 from calib.refinement.parameters import CAMERA, State
 from calib.refinement.profile_minimiser import relax
 
@@ -58,7 +56,7 @@ class Valley:
         above: Floats = cost - cost.min()
         return above
 
-    def covariance(self, best: Fit, free: Bools) -> Floats:
+    def covariance(self, best: CornerFit, free: Bools) -> Floats:
         """Return the covariance (size, size) of all columns around the best state; zero for fixed columns."""
         across = free.copy()
         across[CAMERA.start] = False
@@ -91,7 +89,7 @@ class Valley:
         below = (np.cumsum(weight) - weight / 2) / weight.sum()
         return np.exp(np.interp(shares, below, fine))
 
-    def along(self, best: Fit) -> tuple[Floats, Floats]:
+    def along(self, best: CornerFit) -> tuple[Floats, Floats]:
         """Return the probabilities (n,) of the states along the valley, and the steps (n, size) to them.
 
         Steps are scaled so that the log of the focal length has its `log_sigma`.
@@ -103,23 +101,23 @@ class Valley:
         return weight, scale * steps
 
 
-def trace_valley(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> Valley:
+def trace_valley(problem: CornerProblem, best: CornerFit) -> Valley:
     """Trace the valley in both directions from the best fit until the cost is clearly higher.
 
     Raises LinAlgError if no other focal length has a solution: the uncertainty cannot be determined then.
     """
-    anchored = prior.holding(CAMERA.start)
-    sigma = float(np.sqrt(covariance_of(best.information, prior.free)[CAMERA.start, CAMERA.start]))
+    anchored = problem.prior.holding(CAMERA.start)
+    sigma = float(np.sqrt(problem.covariance(best)[CAMERA.start, CAMERA.start]))
     walked = [best]
     for direction in (-1.0, 1.0):
         fit, step = best, min(_STEP_SIGMAS * sigma, _LONGEST_STEP)
         for _ in range(_STEPS):
             last = fit
-            ahead = covariance_of(last.information, prior.free)[:, CAMERA.start]
+            ahead = problem.covariance(last)[:, CAMERA.start]
             for _ in range(_HALVINGS):
                 along = last.state.moved(direction * step / ahead[CAMERA.start] * ahead)
-                scaled = anchored.for_focals_of(along, best.state)
-                fit = relax(captures, along, scaled, variances, tolerance=_TOLERANCE, steps=_RELAXED)
+                scaled = problem.under(anchored.for_focals_of(along, best.state))
+                fit = relax(scaled, along, tolerance=_TOLERANCE, steps=_RELAXED)
                 if fit.cost - last.cost < _HIGHEST:
                     break
                 step /= 2  # too long for the valley's curvature, or beyond the last solution
@@ -135,12 +133,12 @@ def trace_valley(captures: Sequence[Cells], best: Fit, prior: Prior, variances: 
     walked.sort(key=lambda fit: float(fit.state.camera[0]))
     cost = np.array([fit.cost for fit in walked])
     states = tuple(fit.state for fit in walked)
-    log_volume = np.array([log_volume_across(fit, best.state, prior) for fit in walked])
+    log_volume = np.array([log_volume_across(fit, best.state, problem.prior) for fit in walked])
     focal_px = np.array([state.camera[0] for state in states])
     return Valley(focal_px, cost - cost.min(), states, log_volume - log_volume.max(), float(best.cost - cost.min()))
 
 
-def centred(captures: Sequence[Cells], best: Fit, valley: Valley, prior: Prior, variances: Sequence[Floats]) -> Fit:
+def centred(problem: CornerProblem, best: CornerFit, valley: Valley) -> CornerFit:
     """Return the fit at the posterior median; in a long valley the lowest cost is often far from it."""
     middle = valley.median_px
     shift = np.log(middle / best.state.camera[0])
@@ -150,11 +148,11 @@ def centred(captures: Sequence[Cells], best: Fit, valley: Valley, prior: Prior, 
     step = np.zeros(best.state.size)
     step[CAMERA.start] = np.log(middle / nearest.camera[0])
     start = nearest.moved(step)
-    anchored = prior.holding(CAMERA.start).for_focals_of(start, best.state)
-    return relax(captures, start, anchored, variances, tolerance=_TOLERANCE, steps=_RELAXED)
+    anchored = problem.prior.holding(CAMERA.start).for_focals_of(start, best.state)
+    return relax(problem.under(anchored), start, tolerance=_TOLERANCE, steps=_RELAXED)
 
 
-def log_volume_across(fit: Fit, best: State, prior: Prior) -> float:
+def log_volume_across(fit: CornerFit, best: State, prior: Prior) -> float:
     """Return the log volume of the posterior across the valley at a fit: Laplace's approximation, −½ log det Hessian.
 
     Of radial terms it is that of k1 / f², k2 / f⁴ and k3 / f⁶, to which distortion of the image is proportional. Short
@@ -173,18 +171,3 @@ def _log_determinant(matrix: Floats) -> float:
     unit = np.sqrt(np.diag(matrix))
     curvatures = np.maximum(np.linalg.eigvalsh(matrix / np.outer(unit, unit)), _FLATTEST)
     return float(np.sum(np.log(curvatures)) + 2 * np.sum(np.log(unit)))
-
-
-def covariance_of(information: Floats, free: Bools | Ints) -> Floats:
-    """Invert the information on the free columns, (size, size); zero elsewhere."""
-    covariance = np.zeros_like(information)
-    chosen = np.ix_(free, free)
-    covariance[chosen] = inverse_of(information[chosen])
-    return covariance
-
-
-def inverse_of(matrix: Floats) -> Floats:
-    """Return the pseudo-inverse of a symmetric matrix (n, n) whose columns have very different scales."""
-    scale = np.sqrt(np.diag(matrix))
-    inverse: Floats = np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
-    return inverse

@@ -11,14 +11,13 @@ from operator import attrgetter
 
 import numpy as np
 
+from calib.estimation import Cells, Noise, noise_of
 from calib.geometry import Corner
 from calib.numerics import Bools, Floats, distinct
 from calib.refinement.alternatives import PictureScale, picture_scale
 from calib.refinement.focal_sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
 from calib.refinement.further_planes import mean_square, oblique_planes, unexplained, without
-from calib.refinement.likelihood import Fit, Knowledge, Prior
-from calib.refinement.match_cells import Cells
-from calib.refinement.noise_model import Noise, noise_of
+from calib.refinement.likelihood import CornerFit, CornerProblem, Knowledge, Prior
 from calib.refinement.parameters import SHARED, State, intrinsic_distance
 from calib.refinement.profile_likelihood import Valley, centred, trace_valley
 from calib.refinement.profile_minimiser import minimise
@@ -39,26 +38,38 @@ _ROUGH = 0.3  # tolerance in cost where only residuals or costs are looked at
 
 @dataclass(frozen=True)
 class Refinement:
-    """The refined solution with its diagnostics.
+    """The refined solution with its diagnostics."""
 
-    `captures`: the cells, with consistent labels if they show one corner, and the `noise` of each. `prior`: of the
-    final fit. `covariance` (size, size) in the model's columns, zero for fixed ones. `others`: further minima, best
-    first. `valley`: the cost along the camera's focal length. `tension`: cost of the prior on the corner's angles.
-    `sameness`: whether the captures show one corner. `apart`: the nearby fit of these captures alone, if there is a
-    prior on the rig from other data. `scale`: of the projector's picture; None if other data tell its pixels' shape.
-    """
-
-    captures: tuple[Cells, ...]
+    problem: CornerProblem
+    """Of the final fit: the captures' cells, with consistent labels if they show one corner, and the prior."""
     noise: tuple[Noise, ...]
-    prior: Prior
-    fit: Fit
+    """Of each capture."""
+    fit: CornerFit
+    """The solution."""
     covariance: Floats
-    others: tuple[Fit, ...]
+    """(size, size) in the model's columns, zero for fixed ones."""
+    others: tuple[CornerFit, ...]
+    """Further minima, best first."""
     valley: Valley
+    """The cost along the camera's focal length."""
     tension: float
+    """Cost of the prior on the corner's angles."""
     sameness: Sameness | None
-    apart: Fit | None = None
+    """Whether the captures show one corner."""
+    apart: CornerFit | None = None
+    """The nearby fit of these captures alone, if there is a prior on the rig from other data."""
     scale: PictureScale | None = None
+    """Of the projector's picture; None if other data tell its pixels' shape."""
+
+    @property
+    def captures(self) -> tuple[Cells, ...]:
+        """The cells of each capture."""
+        return self.problem.captures
+
+    @property
+    def prior(self) -> Prior:
+        """Of the final fit."""
+        return self.problem.prior
 
     def corner(self, capture: int) -> Corner:
         """The corner in the camera's frame of a capture, in baselines."""
@@ -102,7 +113,7 @@ def thin(cells: Cells) -> Cells:
 
 def settle(
     captures: Sequence[Cells],
-    fits: Sequence[Fit],
+    fits: Sequence[CornerFit],
     knowledge: Knowledge,
     *,
     sameness: Sameness | None = None,
@@ -115,46 +126,43 @@ def settle(
     # The noise is measured without the prior from other data: a contradiction to it must not count as noise.
     unassuming = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG, rig=None).prior(fits[0].state)
     noise = _measured(captures, fits[0], unassuming)
-    variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
-    usual = knowledge.prior(fits[0].state)
-    weighed = _best_first([weigh(captures, fit.state, usual, variances) for fit in fits])
+    usual = _problem(captures, knowledge.prior(fits[0].state), noise)
+    weighed = _best_first([weigh(usual, fit.state) for fit in fits])
     if not weighed:
         return None
-    loose = minimise(captures, weighed[0].fit.state, _with_any_angles(weighed[0]), variances, tolerance=_ROUGH)
+    loose = minimise(_with_any_angles(weighed[0]), weighed[0].fit.state, tolerance=_ROUGH)
     # Starting from the fit with free angles, the prior on them may lead to another minimum.
     square = _squared(loose.state) if knowledge.squareness_deg == 0 else loose.state
     if weighed[0].fit.cost - loose.cost > _STRAINED:
-        weighed = _best_first([*weighed, weigh(captures, square, usual, variances)])
-    best, prior = weighed[0].fit, weighed[0].prior
+        weighed = _best_first([*weighed, weigh(usual, square)])
+    best, problem = weighed[0].fit, weighed[0].problem
     # What speaks against the others is their evidence; it is stated as if it were their cost.
     alternatives = [replace(minimum.fit, cost=best.cost + minimum.cost - weighed[0].cost) for minimum in weighed[1:]]
     tension = best.cost - loose.cost
 
     if further is not None and not any(alternative.cost < best.cost + CLEARLY_WORSE for alternative in alternatives):
         alternatives = []
-        captures, best, prior = _with_planes(captures, best, knowledge, noise, further)
-        variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
+        best, problem = _with_planes(captures, best, knowledge, noise, further)
 
-    lowest, valley = _traced(captures, best, prior, variances)
+    lowest, valley = _traced(problem, best)
     tension -= best.cost - lowest.cost
-    best = centred(captures, lowest, valley, prior, variances)
-    covariance = valley.covariance(best, prior.free)
+    best = centred(problem, lowest, valley)
+    covariance = valley.covariance(best, problem.free)
     if sameness and sameness.same:
         covariance[:SHARED, :SHARED] += sameness.spread
     scale = None
     if knowledge.rig is None and not knowledge.one_camera:
-        scale = picture_scale(captures, best, prior, variances)
+        scale = picture_scale(problem, best)
         covariance += scale.covariance
     apart = None
     if knowledge.rig is not None:
         of_any_rig = replace(knowledge, rig=None).prior(best.state)
-        apart = minimise(captures, best.state, of_any_rig, variances)
+        apart = minimise(problem.under(of_any_rig), best.state)
         # The general prior on lenses is not information from the captures.
         apart = replace(apart, cost=apart.cost - float(np.sum(of_any_rig.misfit(apart.state.additive())[0][:SHARED])))
     return Refinement(
-        tuple(captures),
+        problem,
         noise,
-        prior,
         best,
         _of_all_columns(covariance, best.state),
         tuple(alternatives),
@@ -166,25 +174,31 @@ def settle(
     )
 
 
-def _traced(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> tuple[Fit, Valley]:
+def _problem(captures: Sequence[Cells], prior: Prior, noise: Sequence[Noise]) -> CornerProblem:
+    """Of captures with the noise of each."""
+    variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
+    return CornerProblem.of(captures, prior, variances)
+
+
+def _traced(problem: CornerProblem, best: CornerFit) -> tuple[CornerFit, Valley]:
     """Return the lowest fit of a valley, and the valley traced from there.
 
     A minimisation stops early where the valley is nearly flat; tracing it further finds where it descends again.
     """
     for _ in range(_TRACES):
-        valley = trace_valley(captures, best, prior, variances)
-        lower = minimise(captures, valley.lowest, prior, variances) if valley.gain > _GAINED else best
+        valley = trace_valley(problem, best)
+        lower = minimise(problem, valley.lowest) if valley.gain > _GAINED else best
         if not lower.cost < best.cost - _GAINED:
             break
         best = lower
     return best, valley
 
 
-def _with_any_angles(minimum: WeighedFit) -> Prior:
-    """Return the prior of a minimum with the angles of its corners all but free."""
+def _with_any_angles(minimum: WeighedFit) -> CornerProblem:
+    """Return the problem of a minimum with the angles of its corners all but free."""
     state = minimum.fit.state
     angles = np.arange(SHARED, SHARED + state.off_square.size)
-    return minimum.prior.with_sigmas(angles, np.radians(_ANY_ANGLE_DEG))
+    return minimum.problem.under(minimum.problem.prior.with_sigmas(angles, np.radians(_ANY_ANGLE_DEG)))
 
 
 def _best_first(minima: Sequence[WeighedFit]) -> list[WeighedFit]:
@@ -206,38 +220,31 @@ def _of_all_columns(covariance: Floats, state: State) -> Floats:
 
 
 def _with_planes(
-    captures: Sequence[Cells], best: Fit, knowledge: Knowledge, noise: Sequence[Noise], further: Further
-) -> tuple[Sequence[Cells], Fit, Prior]:
-    """Return captures, fit and prior with the further planes that pass the tests of squareness and flatness."""
-    of_faces = mean_square(
-        np.concatenate(best.residuals),
-        np.concatenate(
-            [level.variances(cells_of_capture) for cells_of_capture, level in zip(captures, noise, strict=True)]
-        ),
-    )
+    captures: Sequence[Cells], best: CornerFit, knowledge: Knowledge, noise: Sequence[Noise], further: Further
+) -> tuple[CornerFit, CornerProblem]:
+    """Return fit and problem with the further planes that pass the tests of squareness and flatness."""
+    variances = [level.variances(of_capture) for of_capture, level in zip(captures, noise, strict=True)]
+    of_faces = mean_square(np.concatenate(best.residuals), np.concatenate(variances))
     cells, state = further(captures, best.state)
     while True:
-        prior = knowledge.prior(state)
-        variances = [level.variances(cells_of_capture) for cells_of_capture, level in zip(cells, noise, strict=True)]
-        minimum = weigh(cells, state, prior, variances)
-        fit, prior = minimum.fit, minimum.prior
-        refuted = oblique_planes(fit.state) or unexplained(cells, fit, variances, of_faces)
+        minimum = weigh(_problem(cells, knowledge.prior(state), noise), state)
+        fit, problem = minimum.fit, minimum.problem
+        refuted = oblique_planes(fit.state) or unexplained(problem, fit, of_faces)
         if not refuted:
-            return cells, fit, prior
+            return fit, problem
         cells, state = without(cells, fit.state, refuted)
 
 
-def explore(captures: Sequence[Cells], starts: list[Fit], knowledge: Knowledge) -> list[Fit]:
+def explore(captures: Sequence[Cells], starts: list[CornerFit], knowledge: Knowledge) -> list[CornerFit]:
     """Refine the starts (best first); return the distinct minima worth considering, best first."""
-    prior = knowledge.prior(starts[0].state)
-    variances = _levels(starts[0])
-    best = minimise(captures, starts[0].state, prior, variances)
+    problem = CornerProblem.of(captures, knowledge.prior(starts[0].state), _levels(starts[0]))
+    best = minimise(problem, starts[0].state)
     ceiling = HOPELESS * best.cost
-    fits = _distinct([best, *(minimise(captures, fit.state, prior, variances, ceiling=ceiling) for fit in starts[1:])])
+    fits = _distinct([best, *(minimise(problem, fit.state, ceiling=ceiling) for fit in starts[1:])])
     return [fit for fit in fits if fit.cost <= HOPELESS * fits[0].cost]
 
 
-def _measured(captures: Sequence[Cells], fit: Fit, prior: Prior) -> tuple[Noise, ...]:
+def _measured(captures: Sequence[Cells], fit: CornerFit, prior: Prior) -> tuple[Noise, ...]:
     """Estimate the noise of each capture with a prior that leaves the angles free: a violated assumption on them must
     not count as noise.
 
@@ -247,7 +254,7 @@ def _measured(captures: Sequence[Cells], fit: Fit, prior: Prior) -> tuple[Noise,
     variances = [np.full(len(cells), level) for cells, level in zip(captures, levels, strict=True)]
     noise: tuple[Noise, ...] = ()
     for _ in range(_NOISE_ROUNDS):
-        fit = minimise(captures, fit.state, prior, variances, tolerance=_ROUGH)
+        fit = minimise(CornerProblem.of(captures, prior, variances), fit.state, tolerance=_ROUGH)
         repeats = _repeats(fit.state, len(captures))
         absorbed = np.count_nonzero(prior.free) / sum(1 / times for times in repeats)
         measured = (noise_of(*pair, absorbed) for pair in zip(captures, fit.residuals, strict=True))
@@ -263,12 +270,12 @@ def _repeats(state: State, count: int) -> tuple[int, ...]:
     return tuple(sum(state.same_place(i, j) for j in range(count)) for i in range(count))
 
 
-def _levels(fit: Fit) -> list[Floats]:
+def _levels(fit: CornerFit) -> list[Floats]:
     """Return for each capture the variance of its residuals, the same for all cells (M,)."""
     return [np.full(len(residual), max(float(np.mean(residual**2)), 1e-12)) for residual in fit.residuals]
 
 
-def _distinct(fits: list[Fit]) -> list[Fit]:
+def _distinct(fits: list[CornerFit]) -> list[CornerFit]:
     """Different solutions, best first."""
     ordered = sorted((fit for fit in fits if np.isfinite(fit.cost)), key=attrgetter("cost"))
     return [ordered[k] for k in _different([fit.state for fit in ordered])]

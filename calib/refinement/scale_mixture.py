@@ -10,17 +10,14 @@ One capture measures the difference of camera and projector in p1 and p2, say, b
 tells the scale, and the scale how far the mean may be off.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
-from calib.numerics import Floats, Ints
-from calib.refinement.likelihood import Fit, Prior
-from calib.refinement.match_cells import Cells
+from calib.numerics import Floats, Ints, inverse_of
+from calib.refinement.likelihood import CornerFit, CornerProblem, Prior
 from calib.refinement.parameters import State
-from calib.refinement.profile_likelihood import inverse_of
 from calib.refinement.profile_minimiser import minimise
 
 _ROUNDS = 2  # of estimating scales at a fit, and fitting with them
@@ -31,22 +28,19 @@ _SETTLED = 0.1  # relative change of all scales that is worth no further fit
 class WeighedFit:
     """A minimum and what speaks for it."""
 
-    fit: Fit
-    prior: Prior
-    """The fit's, with the scales that its data make likely."""
+    fit: CornerFit
+    problem: CornerProblem
+    """The fit's; its prior has the scales that the data make likely."""
     cost: float
     """−2 log of the evidence of the columns of populations, at the best of all others, under the fit's prior. Without
     populations the fit's cost."""
 
 
-def weigh(captures: Sequence[Cells], start: State, prior: Prior, variances: Sequence[Floats]) -> WeighedFit:
-    """Minimise from a state under the mixture of all populations of a prior.
-
-    `variances`: (M,) for each capture, of each coordinate of each cell.
-    """
-    fit = minimise(captures, start, prior, variances)
+def weigh(problem: CornerProblem, start: State) -> WeighedFit:
+    """Minimise from a state under the mixture of all populations of a problem's prior."""
+    fit, prior = minimise(problem, start), problem.prior
     if not prior.populations or not np.isfinite(fit.cost):
-        return WeighedFit(fit, prior, fit.cost)
+        return WeighedFit(fit, problem, fit.cost)
     columns = _columns(prior)
     for _ in range(_ROUNDS):
         sigma = mix_scales(fit, prior)
@@ -54,9 +48,11 @@ def weigh(captures: Sequence[Cells], start: State, prior: Prior, variances: Sequ
         prior = prior.with_sigmas(columns, sigma).without_tails(columns)
         if settled:
             break
-        fit = minimise(captures, fit.state, prior, variances)
+        fit = minimise(problem.under(prior), fit.state)
     matrix, _ = _seen(fit, prior)
-    return WeighedFit(fit, prior, fit.cost + float(np.linalg.slogdet(_scaled(matrix, prior.sigma[columns]))[1]))
+    return WeighedFit(
+        fit, problem.under(prior), fit.cost + float(np.linalg.slogdet(_scaled(matrix, prior.sigma[columns]))[1])
+    )
 
 
 def _columns(prior: Prior) -> Ints:
@@ -64,7 +60,7 @@ def _columns(prior: Prior) -> Ints:
     return np.concatenate([population.columns for population in prior.populations])
 
 
-def mix_scales(fit: Fit, prior: Prior) -> Floats:
+def mix_scales(fit: CornerFit, prior: Prior) -> Floats:
     """Standard deviations (d,) of the columns of all populations.
 
     With the precisions Λ of a combination, −2 log E = c − log det Λ + log det (M + Λ) − bᵀ (M + Λ)⁻¹ b.
@@ -83,7 +79,7 @@ def mix_scales(fit: Fit, prior: Prior) -> Floats:
     return np.sqrt(variance)
 
 
-def _seen(fit: Fit, prior: Prior) -> tuple[Floats, Floats]:
+def _seen(fit: CornerFit, prior: Prior) -> tuple[Floats, Floats]:
     """What the data say of the columns q of all populations, qᵀ M q − 2 bᵀ q: M (d, d) and b (d,).
 
     All other columns are integrated out.

@@ -12,13 +12,12 @@ from operator import attrgetter
 import numpy as np
 import scipy
 
+from calib.estimation import Cells
 from calib.finding import FindingKind
 from calib.geometry import FACES, leg_signs
-from calib.numerics import Floats
-from calib.refinement.likelihood import Fit, Knowledge
-from calib.refinement.match_cells import Cells
+from calib.numerics import Floats, covariance_of
+from calib.refinement.likelihood import CornerFit, CornerProblem, Knowledge
 from calib.refinement.parameters import PER_CORNER, SHARED, State
-from calib.refinement.profile_likelihood import covariance_of
 from calib.refinement.profile_minimiser import minimise
 from calib.refusal import RefusalError
 
@@ -54,8 +53,8 @@ class Sameness:
 
 
 def tie(
-    captures: Sequence[Cells], thinned: Sequence[Cells], fits: list[Fit], knowledge: Knowledge
-) -> tuple[Sequence[Cells], list[Fit], Sameness | None]:
+    captures: Sequence[Cells], thinned: Sequence[Cells], fits: list[CornerFit], knowledge: Knowledge
+) -> tuple[Sequence[Cells], list[CornerFit], Sameness | None]:
     """Return consistently labelled captures, fits with one shared corner (best first), and the test of sharing.
 
     `fits`: of the thinned captures, each with a corner of its own, best first. If sharing is refuted, captures and fits
@@ -77,7 +76,8 @@ def tie(
         for shifts in _promising(fit, knowledge)
     ]
     trials.sort(key=attrgetter("fit.cost"))
-    apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), _variances(thinned, levels))
+    problem = CornerProblem.of(thinned, knowledge.prior(fits[0].state), _variances(thinned, levels))
+    apart = minimise(problem, fits[0].state)
     raised = trials[0].fit.cost - apart.cost
     limit = float(scipy.special.chdtri(PER_CORNER * (len(captures) - 1), 1 - _SIGNIFICANT))
     if not np.isfinite(raised):  # no order fits at all, as of captures that no rig explains
@@ -106,7 +106,7 @@ def tie(
 class _Trial:
     """The fit of captures whose face numbers are shifted cyclically by `shifts`."""
 
-    fit: Fit
+    fit: CornerFit
     shifts: tuple[int, ...]
 
 
@@ -114,7 +114,8 @@ def _in_order(
     captures: Sequence[Cells], start: State, shifts: tuple[int, ...], knowledge: Knowledge, levels: Sequence[float]
 ) -> _Trial:
     relabelled = [relabel(cells, shift) for cells, shift in zip(captures, shifts, strict=True)]
-    return _Trial(minimise(relabelled, start, knowledge.prior(start), _variances(captures, levels)), shifts)
+    problem = CornerProblem.of(relabelled, knowledge.prior(start), _variances(captures, levels))
+    return _Trial(minimise(problem, start), shifts)
 
 
 def _variances(captures: Sequence[Cells], levels: Sequence[float]) -> list[Floats]:
@@ -149,7 +150,7 @@ def reflected(cells: Cells) -> Cells:
     return replace(cells, plane=np.where((cells.plane == 1) | (cells.plane == 2), 3 - cells.plane, cells.plane))
 
 
-def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
+def oriented(captures: Sequence[Cells], fit: CornerFit) -> CornerFit:
     """Orient every leg along its faces: only then are angles comparable between captures."""
     state = fit.state
     flips = np.ones(state.size)
@@ -169,7 +170,7 @@ def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
     )
 
 
-def _promising(fit: Fit, knowledge: Knowledge) -> list[tuple[int, ...]]:
+def _promising(fit: CornerFit, knowledge: Knowledge) -> list[tuple[int, ...]]:
     """Return the at most `_CLOSER_LOOKS` orders of the faces that agree best with the angles of each capture alone.
 
     Tying the angles a costs dᵀ (D Σ Dᵀ)⁻¹ d, where d = D a are their differences and Σ is their covariance without the

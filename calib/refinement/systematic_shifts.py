@@ -4,32 +4,14 @@ With half the Hessian H of the cost, cells' Jacobians J and variances v, a field
 H⁻¹ Σ Jᵀ s / v. The parameters absorb most of such a field, so that the residuals do not show it.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
-from calib.numerics import Floats, by_pixel, orthonormal_polynomials
+from calib.estimation import Shift, pull_of_shifts, smooth_fields
+from calib.numerics import Floats, by_pixel
 from calib.refinement.parameters import CAMERA, PROJECTOR, State, predict
 from calib.refinement.refine import Refinement
-
-# Camera pixels (N, 2), projector pixels (N, 2), and their gradient (N, 2, 2) (rows) by the camera's x and y → the shift
-# (N, 2) of the projector pixels.
-Shift = Callable[[Floats, Floats, Floats], Floats]
-
-
-@dataclass(frozen=True)
-class Shifts:
-    """Possible shift fields of a capture's matches, of one standard deviation each: `likely` ones, and undetectable
-    `possible` ones. `smooth_px`: smooth decoding error over each plane along either axis, as the standard deviation of
-    the amplitude of every polynomial up to cubic, orthonormal in the mean. `decoding`: other decoding errors, which
-    occur with or without motion.
-    """
-
-    likely: tuple[Shift, ...] = ()
-    possible: tuple[Shift, ...] = ()
-    smooth_px: float = 0.0
-    decoding: tuple[Shift, ...] = ()
 
 
 def response_to_shift(refinement: Refinement, shift: Shift, capture: int) -> Floats:
@@ -48,26 +30,22 @@ def covariance_of_smooth_errors(refinement: Refinement, smooth_px: float, captur
     cells, times = refinement.captures[capture], refinement.noise[capture].repeats
     fields = []
     for plane in np.unique(cells.plane):
-        members = np.flatnonzero(cells.plane == plane)
-        modes = orthonormal_polynomials(cells.camera_px[members])
-        for axis in (0, 1):
-            field = np.zeros((len(cells), 2, modes.shape[1]))
-            field[members, axis] = smooth_px * np.sqrt(len(members)) * modes
-            fields.append(field)
+        members = cells.plane == plane
+        modes = smooth_px * smooth_fields(cells.camera_px[members])
+        field = np.zeros((len(cells), *modes.shape[1:]))
+        field[members] = modes
+        fields.append(field)
     responses = _responses(refinement, np.concatenate(fields, axis=2), capture)
     return times * responses @ responses.T
 
 
 def _responses(refinement: Refinement, fields: Floats, capture: int) -> Floats:
     """Return the changes (size, K) of the solution if the cells of a capture are shifted by fields (M, 2, K)."""
-    state, cells = refinement.fit.state, refinement.captures[capture]
-    _, jacobian, _ = predict(state, cells.camera_px, cells.plane, capture)
-    weighted = jacobian / refinement.noise[capture].variances(cells)[:, None, None]
-    pull = np.zeros((state.size, fields.shape[2]))
-    np.add.at(pull, state.columns(capture), np.einsum("nac,nak->ck", weighted, fields, optimize=True))
-    free = refinement.prior.free_columns
+    problem, fit = refinement.problem, refinement.fit
+    pull = pull_of_shifts(fit.state, problem.parts[capture], problem.variances[capture], fields)
+    free = np.flatnonzero(problem.free)
     responses = np.zeros_like(pull)
-    responses[free] = np.linalg.solve(refinement.fit.information[np.ix_(free, free)], pull[free])
+    responses[free] = np.linalg.solve(fit.information[np.ix_(free, free)], pull[free])
     return responses
 
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.estimation import follow_one_plane
 from calib.geometry import Calibration, Intrinsics, Matches, Plane, TooFewMatchesError
 from calib.numerics import Bools, Ints, evenly
-from calib.refinement import follow_one_plane
 from calib.registration.range_view import StationView
 from calib.registration.segments import NO_PLANE
 

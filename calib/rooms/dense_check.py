@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from calib.estimation import PatchSums, Score, block_inflation, blocks_of, reweighted, score
+from calib.estimation import ROBUST_SIGMAS, PatchSums, Score, block_inflation, blocks_of, reweighted, score
 from calib.geometry import PER_POSE, Matches
 from calib.numerics import Floats, huber_weights, robust_sigma
-from calib.refinement import ROBUST_SIGMAS, ROTATION, SHARED, TRANSLATION
+from calib.refinement import ROTATION, SHARED, TRANSLATION
 from calib.rooms.estimate import RoomEstimate
 from calib.rooms.factors import SMOOTH, Contact, Patch, find_contacts
 

@@ -11,8 +11,10 @@ from functools import cached_property
 import numpy as np
 
 from calib.estimation import (
+    Cells,
     Fit,
     NoiseLevels,
+    Shifts,
     covariance_of_shifts,
     covariance_of_waves,
     measured,
@@ -20,7 +22,7 @@ from calib.estimation import (
 )
 from calib.geometry import Matches, Plane, Pose
 from calib.numerics import Floats
-from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, State
+from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, State
 from calib.rooms.factors import Contact, Patch, Track, find_contacts, patches_of
 from calib.rooms.point_tracking import LabelledPicture, find_tracks
 from calib.rooms.priors import RigPrior, RoomPrior
@@ -72,7 +74,7 @@ class RoomEstimate:
     @property
     def room(self) -> Room:
         """The most likely one; the first station is where the start had it."""
-        return self.fit.layout
+        return self.fit.state
 
     @property
     def patches(self) -> Sequence[Patch]:
@@ -138,35 +140,35 @@ def estimate_room(
     )
     problem, fit, known = without_wrong_ties(*fit_roughly(patches, room, known), known)
     known = replace(known, rig=prior)
-    patches, free = problem.parts, known.free(seen(fit.layout, problem.parts))
+    patches, free = problem.parts, known.free(seen(fit.state, problem.parts))
     problem = replace(problem, prior=known, free=free)
     for _ in range(_ROUNDS):
-        levels = measured(problem, fit, _repeats(fit.layout, reach))
+        levels = measured(problem, fit, _repeats(fit.state, reach))
         problem = replace(problem, variances=levels.variances(patches))
-        fit = problem.minimise(fit.layout, tolerance=_ROUGH)
-    fit = problem.minimise(fit.layout)
+        fit = problem.minimise(fit.state, tolerance=_ROUGH)
+    fit = problem.minimise(fit.state)
     tracks: tuple[Track, ...] = ()
     for _ in range(_TRACKING_ROUNDS) if sights else ():
-        tracks = find_tracks(sights, _planes_of_labels(patches, plane_of), fit.layout)
+        tracks = find_tracks(sights, _planes_of_labels(patches, plane_of), fit.state)
         problem = replace(problem, joints=tracks)
-        fit = problem.minimise(fit.layout)
+        fit = problem.minimise(fit.state)
     contacts: tuple[Contact, ...] = ()
     for share in NEAR if loose else ():
-        contacts = find_contacts(loose, fit.layout, [noise.match_px for noise in levels.stations], share * reach)
+        contacts = find_contacts(loose, fit.state, [noise.match_px for noise in levels.stations], share * reach)
         problem = replace(problem, joints=(*contacts, *tracks))
-        fit = problem.minimise(fit.layout)
+        fit = problem.minimise(fit.state)
 
     of_waves, waves = covariance_of_waves(problem, fit, levels)
     covariance = levels.alike * (problem.covariance(fit) + of_waves)
     covariance += covariance_of_shifts(problem, fit, levels, shifts)
-    for plane in range(len(fit.layout.planes)):
-        columns = fit.layout.plane_columns(plane)
+    for plane in range(len(fit.state.planes)):
+        columns = fit.state.plane_columns(plane)
         if not free[columns].any():
             covariance[columns], covariance[:, columns] = np.nan, np.nan
     residual_px = np.full(len(stations), np.nan)
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
-    undetermined = undetermined_in(fit.layout, covariance, reach)
+    undetermined = undetermined_in(fit.state, covariance, reach)
     return RoomEstimate(problem, fit, covariance, levels, residual_px, undetermined, reach, waves, contacts)
 
 

@@ -17,20 +17,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.diagnostics import Uncertainty
-from calib.estimation import Term, block_inflation
+from calib.estimation import ROBUST_SIGMAS, Cells, Term, block_inflation
 from calib.geometry import PER_PLANE, PER_POSE, Matches, cross, tangent_basis, unproject
 from calib.numerics import Bools, Floats, Ints, by_pixel, evenly, robust_sigma
-from calib.refinement import (
-    CAMERA,
-    PER_CORNER,
-    ROBUST_SIGMAS,
-    SHARED,
-    Cells,
-    FurtherPlane,
-    PlacedCorner,
-    depths,
-    predict,
-)
+from calib.refinement import CAMERA, PER_CORNER, SHARED, FurtherPlane, PlacedCorner, depths, predict
 from calib.rooms.room import Room
 
 OWN = slice(SHARED, SHARED + PER_PLANE)  # columns of a patch for its plane in the camera's frame

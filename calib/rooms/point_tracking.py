@@ -14,10 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.estimation import block_inflation
+from calib.estimation import ROBUST_SIGMAS, block_inflation
 from calib.geometry import project, tangent_basis, unproject
 from calib.numerics import MEDIAN_LENGTH, Floats, Image, median
-from calib.refinement import ROBUST_SIGMAS
 from calib.registration import log_brightness, rectify_texture
 from calib.rooms.factors import Track
 from calib.rooms.room import Room

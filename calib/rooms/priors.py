@@ -7,16 +7,8 @@ import numpy as np
 
 from calib.estimation import Term, squareness
 from calib.geometry import tangent_basis
-from calib.numerics import Bools, Floats
-from calib.refinement import (
-    SHARED,
-    TRANSLATION,
-    Knowledge,
-    KnownRig,
-    PlacedCorner,
-    State,
-    inverse_of,
-)
+from calib.numerics import Bools, Floats, inverse_of
+from calib.refinement import SHARED, TRANSLATION, Knowledge, KnownRig, PlacedCorner, State
 from calib.rooms.room import Room
 
 _EXACTLY_SQUARE = 1e-3  # degrees; sigma of exactly square walls

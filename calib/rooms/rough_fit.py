@@ -5,14 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.estimation import (
-    WRONG_ASSOCIATION,
-    Fit,
-    Problem,
-    association_scores,
-    rough_levels,
-    separate_plane,
-)
+from calib.estimation import WRONG_ASSOCIATION, Fit, Problem, association_scores, rough_levels, separate_plane
 from calib.finding import FindingKind
 from calib.numerics import Bools, Floats
 from calib.refusal import RefusalError
@@ -44,7 +37,7 @@ def fit_roughly(patches: Sequence[Patch], room: Room, prior: RoomPrior) -> tuple
         variances = [np.full(len(patch.cells), level) for patch, level in zip(patches, levels, strict=True)]
         problem = RoomProblem(patches, variances, prior, prior.free(seen(room, patches)))
         fit = problem.minimise(room)
-        room, kept = fit.layout, in_front(fit.layout, patches)
+        room, kept = fit.state, in_front(fit.state, patches)
         if len(kept) == len(patches) and np.mean(_levels(kept, room, prior)) > _SETTLED * np.mean(levels):
             break
     return problem, fit
@@ -68,7 +61,7 @@ def without_wrong_ties(
         if not tied.any() or per_freedom[worst] < WRONG_ASSOCIATION * max(float(np.median(per_freedom[tied])), 1.0):
             break
         start, _ = separate_plane(prior.start, problem.parts, worst)
-        room, patches = separate_plane(fit.layout, problem.parts, worst)
+        room, patches = separate_plane(fit.state, problem.parts, worst)
         prior = replace(prior, start=start)
         problem, fit = fit_roughly(patches, room, prior)
     return problem, fit, prior

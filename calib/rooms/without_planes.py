@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.estimation import NoiseLevels
+from calib.estimation import Noise, NoiseLevels
 from calib.finding import FindingKind
 from calib.geometry import Matches, Pose, unproject
 from calib.numerics import Floats
-from calib.refinement import Noise, State, depths
+from calib.refinement import State, depths
 from calib.refusal import RefusalError
 from calib.rooms.estimate import NEAR, RoomEstimate, undetermined_in
 from calib.rooms.factors import SMOOTH, Contact, find_contacts
@@ -44,7 +44,7 @@ def estimate_without_planes(
     contacts: tuple[Contact, ...] = ()
     fit = problem.minimise(room)
     for share in NEAR:
-        contacts = find_contacts(loose, fit.layout, [_MATCH_PX] * len(loose), share * reach, SMOOTH)
+        contacts = find_contacts(loose, fit.state, [_MATCH_PX] * len(loose), share * reach, SMOOTH)
         if not contacts:
             raise RefusalError(
                 TOO_FAR_APART,
@@ -52,11 +52,11 @@ def estimate_without_planes(
                 TOO_FAR_APART.remedy,
             )
         problem = replace(problem, joints=contacts)
-        fit = problem.minimise(fit.layout)
+        fit = problem.minimise(fit.state)
     covariance = problem.covariance(fit)
     levels = NoiseLevels(tuple(Noise(_MATCH_PX, 0.0, 0.0, 1.0) for _ in loose), np.zeros(0), 1.0)
     nothing = np.full(len(loose), np.nan)
-    loosely = undetermined_in(fit.layout, covariance, reach)
+    loosely = undetermined_in(fit.state, covariance, reach)
     return RoomEstimate(problem, fit, covariance, levels, nothing, loosely, reach, np.zeros(0), contacts)
 
 

@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
-from calib.numerics import Floats, clustered_scatter
-from calib.refinement import inverse_of
+from calib.numerics import Floats, clustered_scatter, inverse_of
 from calib.scene.problem import SceneProblem
 from calib.scene.rigid_scene import RigidScene
 

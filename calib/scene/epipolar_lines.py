@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.estimation import ROBUST_SIGMAS
 from calib.geometry import Calibration, Intrinsics, Matches
 from calib.numerics import Floats, Ints, clustered_scatter, huber_loss, huber_weights, robust_sigma
-from calib.refinement import ROBUST_SIGMAS, SHARED, State, device_of
+from calib.refinement import SHARED, State, device_of
 from calib.scene.residuals import missed
 
 _STEPS, _CONVERGED = 12, 1e-3  # sigmas

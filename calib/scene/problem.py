@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.estimation import Term, add_up
-from calib.numerics import NIELSEN, Floats, Quadratic, descend, huber_loss, huber_weights
-from calib.refinement import ROBUST_SIGMAS, Prior, covariance_of
+from calib.estimation import ROBUST_SIGMAS, Term, add_up
+from calib.numerics import NIELSEN, Floats, Quadratic, covariance_of, descend, huber_loss, huber_weights
+from calib.refinement import Prior
 from calib.scene.residuals import Residuals, missed_at_stations, residuals_of
 from calib.scene.rigid_scene import ErrorScales, RigidScene, SceneObservations, StationMatches
 

@@ -11,10 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
+from calib.estimation import ROBUST_SIGMAS
 from calib.geometry import Matches, Pose, cross_matrix, depths_of_rays
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Floats, Ints, huber_weights
-from calib.refinement import CAMERA, PROJECTOR, ROBUST_SIGMAS, ROTATION, SHARED, TRANSLATION, State
+from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, State
 from calib.scene.rigid_scene import ErrorScales, RigidScene, SceneColumns, SceneObservations, StationMatches
 
 _ROWS = 4  # of an observation: camera x, y; projector x, y

@@ -20,22 +20,21 @@ from calib.diagnostics import (
     sigmas_of,
     uncertainty_of,
 )
+from calib.estimation import Cells, into_cells
 from calib.geometry import PER_POSE, Corner, Matches, Pose, TooFewMatchesError, before_the_matches, unproject
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     ORDINARY_LENSES,
     PER_CORNER,
     SHARED,
-    Cells,
-    Fit,
+    CornerFit,
+    CornerProblem,
     Knowledge,
     LensPrior,
     PrincipalPoint,
     Refinement,
     State,
-    evaluate,
     explore,
-    into_cells,
     minima,
     oriented,
     photo_family,
@@ -144,10 +143,11 @@ def _columns_of_pair(state: State, pair: int) -> Ints:
     return state.columns(pair)[: SHARED + PER_CORNER + PER_POSE]
 
 
-def _with_all(pairs: Sequence[Cells], fit: Fit, knowledge: Knowledge, variance: float) -> Fit:
+def _with_all(pairs: Sequence[Cells], fit: CornerFit, knowledge: Knowledge, variance: float) -> CornerFit:
     """Extend a fit of the first pair by the poses of all further photos, resected from its points."""
     state = replace(fit.state, further=tuple(_placed(cells, fit.state) for cells in pairs[1:]))
-    return evaluate(pairs, state, knowledge.prior(state), [np.full(len(cells), variance) for cells in pairs])
+    variances = [np.full(len(cells), variance) for cells in pairs]
+    return CornerProblem.of(pairs, knowledge.prior(state), variances).evaluate(state)
 
 
 def _placed(cells: Cells, state: State) -> Pose:

@@ -23,6 +23,7 @@ from calib.diagnostics import (
     sigmas_of,
     uncertainty_of,
 )
+from calib.estimation import Shift, Shifts, into_cells
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import (
     PER_POSE,
@@ -43,12 +44,9 @@ from calib.refinement import (
     LensPrior,
     PrincipalPoint,
     Refinement,
-    Shift,
-    Shifts,
     State,
     covariance_of_smooth_errors,
     family_of,
-    into_cells,
     is_anticlockwise,
     percent_of_intrinsics,
     refine,

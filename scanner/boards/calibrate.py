@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from calib.boards import FEWEST_VIEWS, Board, BoardCalibration, BoardView, calibrate_boards
+from calib.estimation import into_cells
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import SQUARE_PIXELS, Matches, PixelGrid, Size, TooFewMatchesError
 from calib.numerics import Image
-from calib.refinement import into_cells
 from scanner.acquisition import decode
 from scanner.capture import CAPTURE_FILE, Recording, open_capture
 from scanner.configuration import Config

@@ -10,8 +10,8 @@ import numpy as np
 from calib.diagnostics import NOWHERE, RigChange, Uncertainty, moved_calibration, sigmas_of
 from calib.finding import FindingKind
 from calib.geometry import Calibration
-from calib.numerics import Floats
-from calib.refinement import KnownRig, inverse_of
+from calib.numerics import Floats, inverse_of
+from calib.refinement import KnownRig
 from calib.refusal import RefusalError
 from calib.scene import compare_with_lines
 from calib.self_calibration import KnownCalibration

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.estimation import Shift
 from calib.finding import Finding
 from calib.geometry import Calibration, Matches
 from calib.numerics import Bools, Image
-from calib.refinement import Shift
 from scanner.decoding.between_axes import halves_of, motion_between
 from scanner.decoding.checks.epipolar_test import annotate_errors, assess_anomalies, leave_out_stray_light
 from scanner.decoding.checks.finest_stripes import FinestStripes, finest_stripes

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from calib.estimation import Shifts
 from calib.finding import Finding, FindingKind, Severity
-from calib.refinement import Shifts
 from calib.self_calibration import SelfCalibration
 from scanner.decoding import SUSPECTED_PX, UNSEEN_MOTION, moved
 from scanner.results import Decoded

@@ -6,9 +6,10 @@ import numpy as np
 from markupsafe import Markup
 
 from calib.closed_form import Objective, exact_search, objective_for
+from calib.estimation import into_cells
 from calib.geometry import Calibration, Intrinsics, Matches, TooFewMatchesError
 from calib.numerics import Floats
-from calib.refinement import Knowledge, family_of, into_cells
+from calib.refinement import Knowledge, family_of
 from calib.self_calibration import paper_trials
 from scanner.reporting import plots
 from scanner.reporting.contents import ReportInput

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import Uncertainty
+from calib.estimation import Shift
 from calib.finding import Finding
 from calib.geometry import Calibration, Corner, Matches
 from calib.numerics import Floats, Image, Ints
 from calib.pointcloud import Cloud, MergedCloud
-from calib.refinement import Shift
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureMetadata

@@ -14,8 +14,8 @@ import numpy as np
 from calib.diagnostics import Uncertainty, calibration_of
 from calib.finding import FindingKind
 from calib.geometry import Calibration, Intrinsics, Matches, Sigmas
-from calib.numerics import Bools, Floats
-from calib.refinement import SHARED, State, device_of, inverse_of
+from calib.numerics import Bools, Floats, inverse_of
+from calib.refinement import SHARED, State, device_of
 from calib.refusal import RefusalError
 from scanner.configuration import Config
 from scanner.errors import InputError

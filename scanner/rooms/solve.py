@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import Uncertainty, calibration_of, sigmas_of
+from calib.estimation import Cells, into_cells
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Corner, Matches, Sigmas
 from calib.numerics import Floats, Ints
 from calib.pointcloud import build_cloud
-from calib.refinement import Cells, Knowledge, into_cells
+from calib.refinement import Knowledge
 from calib.refusal import RefusalError
 from calib.registration import Group, Registration, StationView, find_keypoints, register, split_planes, station_view
 from calib.rooms import (

@@ -7,9 +7,9 @@ import numpy as np
 import yaml
 
 from calib.boards import BoardView
+from calib.estimation import into_cells
 from calib.geometry import Calibration, Intrinsics, Pose, mapped
 from calib.numerics import Floats
-from calib.refinement import into_cells
 from calib.synthetic import SyntheticBoards
 from scanner.boards import draw_target
 from scanner.io import write_png

@@ -8,9 +8,10 @@ import numpy as np
 
 from calib.boards import Board, BoardCalibration, calibrate_boards, rig_uncertainty
 from calib.diagnostics import SystematicErrors
+from calib.estimation import Cells, into_cells
 from calib.geometry import Calibration, Intrinsics, Matches, Plane
 from calib.numerics import Floats
-from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, Cells, Knowledge, State, into_cells
+from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, Knowledge, State
 from calib.rooms import Room
 from calib.self_calibration import KnownCalibration, PrincipalPoint, SelfCalibration, self_calibrate_jointly
 from calib.synthetic import SyntheticRoom, random_boards, random_captures

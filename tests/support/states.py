@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from calib.estimation import Cells
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
-from calib.refinement import Cells, PlacedCorner, State
+from calib.refinement import PlacedCorner, State
 from calib.rooms import Room
 from calib.synthetic import SyntheticCapture
 

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.estimation import Shift
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats, Floats32, biweight, fit_reweighted
-from calib.refinement import Shift
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
 from scanner.decoding.significance import FEWEST_PIXELS, MEDIAN_ROUNDS, SIGNIFICANT_SIGMAS
 

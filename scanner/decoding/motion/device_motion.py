@@ -14,9 +14,9 @@ from math import sqrt
 
 import numpy as np
 
+from calib.estimation import Shifts
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import CUBIC, STRIP_ROWS, Floats, Floats32
-from calib.refinement import Shifts
 from calib.refusal import RefusalError
 from scanner.decoding.motion.code_shift import CodeShift
 from scanner.decoding.motion.pixels import PER_DEVICE, shifts_by_motion

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.estimation import Shift
 from calib.geometry import Matches, mapped
 from calib.numerics import Floats, Ints, evenly
-from calib.refinement import Shift
 from scanner.decoding import FinestStripes, first_harmonics
 from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, BeatFit, homography_of
 from scanner.reconstruction.keystone.planes import planes_at

@@ -37,7 +37,7 @@ def four() -> tuple[SyntheticBoards, list[BoardView], State, Prior]:
     boards = random_boards(np.random.default_rng(2), matches=1000, views=4)
     views, rig = wavy(views_of(boards)), boards.calibration
     prior = device_prior(rig.camera.size, rig.projector.size, 7)
-    start = starts(views, rig.camera.size, rig.projector.size, boards.reach, prior)[0].layout
+    start = starts(views, rig.camera.size, rig.projector.size, boards.reach, prior)[0].state
     return boards, views, start, prior
 
 
@@ -67,7 +67,7 @@ def test_leaving_out_a_board_moves_the_estimate_as_predicted(
     sizes = boards.calibration.camera.size, boards.calibration.projector.size
     board = Board(boards.reach, 1, "m")
     found = calibrate_boards(views, *sizes, board)
-    start = starts(views[1:], *sizes, boards.reach, prior)[0].layout
+    start = starts(views[1:], *sizes, boards.reach, prior)[0].state
     without = estimated(views[1:], start, prior, board)
     moved = (without.state.additive() - found.estimate.state.additive())[_FOCALS]
     assert found.predictions[0].moved[_FOCALS] == pytest.approx(moved, abs=1e-7)  # another start, the same minimum

@@ -6,17 +6,8 @@ import numpy as np
 import pytest
 
 from calib.diagnostics.acceptance import missing_knowledge, no_corner, refuse_degenerate, refuse_untrustworthy
-from calib.refinement import (
-    CAMERA,
-    PROJECTOR,
-    Knowledge,
-    Refinement,
-    at_focal,
-    family_of,
-    into_cells,
-    refine,
-    straighten,
-)
+from calib.estimation import into_cells
+from calib.refinement import CAMERA, PROJECTOR, Knowledge, Refinement, at_focal, family_of, refine, straighten
 from calib.refusal import PHOTOS, RIG, RefusalError
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
@@ -154,7 +145,7 @@ def test_angles_off_the_assumed_ones_are_refused(good: Refinement) -> None:
 
     loose = replace(KNOWLEDGE, squareness_deg=0.3)
     state = replace(good.fit.state, off_square=np.radians([[1.21, 0.0, 0.0]]))
-    skewed = replace(good, fit=replace(good.fit, state=state), prior=loose.prior(state))
+    skewed = replace(good, fit=replace(good.fit, state=state), problem=good.problem.under(loose.prior(state)))
     # Walls may be that far off; what is not known of them is in the sigmas.
     refuse_untrustworthy(skewed, loose)
     refusal = refusal_of(replace(skewed, tension=21.2), loose)

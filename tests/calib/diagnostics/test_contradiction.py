@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.diagnostics.contradiction import _differences_from
-from calib.refinement import SHARED, Fit, KnownRig
+from calib.refinement import SHARED, CornerFit, KnownRig
 from tests.support.known_rigs import before
 
 CAMERA, PROJECTOR, ROTATION, BASELINE = 0, 8, 16, 19  # first columns
@@ -24,7 +24,7 @@ def words_of(column: int, sigmas: float) -> str:
     step = np.zeros(SHARED)
     step[column] = sigmas * np.sqrt(rig.covariance[column, column])
     information = np.diag(np.full(SHARED, SIGMA**-2))
-    fit = Fit(0.0, np.zeros(SHARED), information, rig.state.moved(step), ())
+    fit = CornerFit(0.0, np.zeros(SHARED), information, rig.state.moved(step), ())
     return _differences_from(rig, fit, np.ones(SHARED, np.bool_))
 
 

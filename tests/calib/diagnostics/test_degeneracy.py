@@ -7,9 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.diagnostics.degeneracy import reasons_in_images, reasons_in_space
+from calib.estimation import Cells
 from calib.geometry import Pose
 from calib.numerics import Floats
-from calib.refinement import Cells, PlacedCorner, State, without_lens
+from calib.refinement import PlacedCorner, State, without_lens
 from calib.refusal import RIG
 
 AHEAD = np.array([0.0, 0.0, 1.0])

@@ -8,8 +8,9 @@ import pytest
 
 from calib.diagnostics.next_best_view import best_next_view, moved_corner
 from calib.diagnostics.uncertainty import Uncertainty
+from calib.estimation import into_cells
 from calib.geometry import Matches, unproject
-from calib.refinement import CAMERA, SHARED, Knowledge, depths, family_of, into_cells, refine, straighten
+from calib.refinement import CAMERA, SHARED, Knowledge, depths, family_of, refine, straighten
 from calib.self_calibration import PrincipalPoint, self_calibrate, self_calibrate_jointly
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from calib.estimation import Problem, Term, add_up
+from calib.estimation.match_cells import Cells
 from calib.numerics import Floats
-from calib.refinement import Cells
 
 TRUE = np.array([0.7, -1.3, 2.0])
 SIGMA_PX = 0.2
@@ -77,7 +77,7 @@ def test_estimates_scatter_as_their_covariance_says() -> None:
     for seed in range(200):
         problem = problem_of(sampled(np.random.default_rng(seed)))
         fit = problem.minimise(Curve(TRUE + 0.05))
-        errors.append(fit.layout.values - TRUE)
+        errors.append(fit.state.values - TRUE)
         expected += problem.covariance(fit) / 200
     ratio = np.std(errors, axis=0) / np.sqrt(np.diag(expected))
     assert ratio.min() > 0.85
@@ -97,7 +97,7 @@ def test_outliers_pull_no_more_than_three_sigmas_do() -> None:
     fit, pulled = (
         problem_of(some).minimise(Curve(TRUE)) for some in (cells, sampled(np.random.default_rng(1), outliers=1))
     )
-    moved = np.abs(pulled.layout.values - fit.layout.values)
+    moved = np.abs(pulled.state.values - fit.state.values)
     assert 1e-4 < moved.max() < 0.1
 
 
@@ -107,7 +107,7 @@ def test_columns_that_are_held_stay_and_have_no_variance() -> None:
     problem = Problem(start.parts, start.variances, start.prior, free)
     fit = problem.minimise(Curve(TRUE + 0.05))
     covariance = problem.covariance(fit)
-    assert fit.layout.values[1] == TRUE[1] + 0.05
+    assert fit.state.values[1] == TRUE[1] + 0.05
     assert not covariance[1].any()
     assert not covariance[:, 1].any()
     assert covariance[0, 0] > 0

@@ -1,10 +1,10 @@
 import numpy as np
 
+from calib.estimation import Cells
 from calib.geometry import Plane, Pose, Size, rotation_about
 from calib.networks.initialisation import placed
 from calib.networks.network import Device, Network
 from calib.networks.observations import PlaneObservation
-from calib.refinement import Cells
 
 
 def test_the_jacobian_matches_the_prediction() -> None:

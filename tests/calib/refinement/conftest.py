@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from calib.refinement.likelihood import Fit, Knowledge, Prior
-from calib.refinement.match_cells import Cells
+from calib.estimation import Cells
+from calib.refinement.likelihood import CornerFit, CornerProblem, Knowledge, Prior
 from calib.refinement.parameters import State
 from calib.refinement.profile_minimiser import relax
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
@@ -28,18 +28,17 @@ class Case:
 
     cells: Cells
     truth: State
-    prior: Prior
-    best: Fit
+    problem: CornerProblem
+    best: CornerFit
 
     @property
-    def variances(self) -> list[np.ndarray]:
-        return [np.full(len(self.cells), SIGMA_PX**2)]
+    def prior(self) -> Prior:
+        return self.problem.prior
 
 
 @pytest.fixture(scope="session")
 def case() -> Case:
     capture = random_capture(np.random.default_rng(7), count=800, noise_px=SIGMA_PX, distance=(1.5, 2.5))
     cells, truth = each_a_cell(capture, SIGMA_PX), true_state(capture)
-    prior = KNOWLEDGE.prior(truth)
-    best = relax([cells], truth, prior, [np.full(len(cells), SIGMA_PX**2)], tolerance=1e-6)
-    return Case(cells, truth, prior, best)
+    problem = CornerProblem.of([cells], KNOWLEDGE.prior(truth), [np.full(len(cells), SIGMA_PX**2)])
+    return Case(cells, truth, problem, relax(problem, truth, tolerance=1e-6))

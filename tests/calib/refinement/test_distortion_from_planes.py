@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.estimation import into_cells
 from calib.refinement.distortion_from_planes import _homographies, _misfit, straighten
-from calib.refinement.match_cells import into_cells
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 from tests.support.states import device_of
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.refinement.focal_sweep import at_focal, family_of, minima, sweep_jointly, sweep_one, twins
-from calib.refinement.likelihood import Fit
+from calib.refinement.likelihood import CornerFit
 from calib.refinement.parameters import State
 from calib.synthetic import random_capture, random_captures
 from tests.calib.refinement.conftest import KNOWLEDGE, Case
@@ -71,8 +71,8 @@ def test_captures_of_one_rig_fit_no_better_together_than_alone() -> None:
             assert fit.state.off_square.shape == (2, 3)
 
 
-def fit_of(state: State, cost: float) -> Fit:
-    return Fit(cost, np.zeros(0), np.zeros((0, 0)), state, (np.zeros((10, 2)),))
+def fit_of(state: State, cost: float) -> CornerFit:
+    return CornerFit(cost, np.zeros(0), np.zeros((0, 0)), state, (np.zeros((10, 2)),))
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.refinement.likelihood import Knowledge, Prior, evaluate
+from calib.refinement.likelihood import CornerProblem, Knowledge, Prior
 from calib.refinement.parameters import FurtherPlane, State, predict
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
 from tests.support.states import each_a_cell, true_state
@@ -70,10 +70,11 @@ def test_the_gradient_matches_the_cost() -> None:
     cells = [each_a_cell(replace(capture, matches=capture.matches.with_faces(np.maximum(capture.matches.face, 0))))]
     state = true_state(capture)
     prior, variances = _prior(capture, state), [np.linspace(0.5, 1.5, len(cells[0]))]
-    fit = evaluate(cells, state, prior, variances)
+    problem = CornerProblem.of(cells, prior, variances)
+    fit = problem.evaluate(state)
     assert np.all(np.linalg.eigvalsh(fit.information) > -1e-6)
     for column, step in enumerate(1e-6 * np.eye(state.size)):
-        ahead, behind = (evaluate(cells, state.moved(s), prior, variances).cost for s in (step, -step))
+        ahead, behind = (problem.evaluate(state.moved(s)).cost for s in (step, -step))
         slope = (ahead - behind) / 4e-6
         assert abs(slope - fit.gradient[column]) < 1e-4 * np.sqrt(fit.information[column, column]), f"column {column}"
 
@@ -82,16 +83,16 @@ def test_cells_behind_a_device_cost_and_have_no_gradient() -> None:
     capture = random_capture(np.random.default_rng(5), count=2000)
     state, cells = true_state(capture), each_a_cell(capture)
     prior, variance = _prior(capture, state), np.ones(len(cells))
-    whole = evaluate([cells], state, prior, [variance])
+    whole = CornerProblem.of([cells], prior, [variance]).evaluate(state)
     one = np.flatnonzero(cells.plane == 0)[:1]
     beyond = cells.camera_px.copy()
     away = np.sign(capture.calibration.camera.project(capture.corner.vertex) - beyond[one[0]])
     beyond[one] += 1e5 * away  # across the horizon of its plane
-    stray = evaluate([replace(cells, camera_px=beyond)], state, prior, [variance])
+    stray = CornerProblem.of([replace(cells, camera_px=beyond)], prior, [variance]).evaluate(state)
     assert np.all(stray.residuals[0][one] == 0)
     assert 50 < stray.cost - whole.cost < 101
     turned = replace(state, pose=state.pose.scaled(-50))
-    assert evaluate([cells], turned, prior, [variance]).cost == np.inf
+    assert CornerProblem.of([cells], prior, [variance]).evaluate(turned).cost == np.inf
 
 
 def test_angles_off_square_are_angles_between_the_faces() -> None:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from calib.estimation import into_cells
 from calib.refinement.focal_sweep import objective_of_photos, photo_family
 from calib.refinement.likelihood import Knowledge
-from calib.refinement.match_cells import into_cells
 from calib.synthetic import random_photos
 
 

@@ -8,17 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtr
 
+from calib.numerics import covariance_of, inverse_of
 from calib.refinement.focal_sweep import at_focal
-from calib.refinement.likelihood import Fit
+from calib.refinement.likelihood import CornerFit
 from calib.refinement.parameters import CAMERA, PROJECTOR
-from calib.refinement.profile_likelihood import (
-    Valley,
-    centred,
-    covariance_of,
-    inverse_of,
-    log_volume_across,
-    trace_valley,
-)
+from calib.refinement.profile_likelihood import Valley, centred, log_volume_across, trace_valley
 from calib.refinement.profile_minimiser import relax
 from tests.calib.refinement.conftest import Case
 
@@ -44,7 +38,7 @@ def test_known_parameters_have_no_covariance() -> None:
 
 
 def test_a_well_determined_focal_has_the_covariance_of_the_curvature(case: Case) -> None:
-    valley = trace_valley([case.cells], case.best, case.prior, case.variances)
+    valley = trace_valley(case.problem, case.best)
     by_curvature = covariance_of(case.best.information, case.prior.free)
     sigma = np.sqrt(by_curvature[CAMERA.start, CAMERA.start])
     assert np.all(np.diff(valley.focal_px) > 0)
@@ -66,7 +60,7 @@ def test_a_second_basin_widens_the_sigma_from_one_in_forty_on(case: Case, share:
     states = tuple(at_focal(case.truth, case.truth.camera[0] * float(np.exp(step))) for step in t)
     cost = -2 * np.log(np.maximum(density, 1e-12))
     valley = Valley(np.array([state.camera[0] for state in states]), cost - cost.min(), states, np.zeros(len(states)))
-    none = Fit(0.0, np.zeros(case.truth.size), np.eye(case.truth.size), case.truth, ())
+    none = CornerFit(0.0, np.zeros(case.truth.size), np.eye(case.truth.size), case.truth, ())
     found = valley.covariance(none, np.arange(case.truth.size) == CAMERA.start)
     low, high = np.interp([0.1587 / (1 - share), 0.8413 / (1 - share)], ndtr(_Z), _Z) * sigma
     assert np.log(np.array(valley.interval_px) / case.truth.camera[0]) == pytest.approx([low, high], rel=0.02)
@@ -81,7 +75,7 @@ def test_a_curved_profile_adds_its_moments(case: Case) -> None:
     steps[:, CAMERA.start], steps[:, PROJECTOR.start + 1] = t, bend * t**2
     states = tuple(case.truth.moved(step) for step in steps)
     valley = Valley(np.array([state.camera[0] for state in states]), (t / sigma) ** 2, states, np.zeros(len(states)))
-    none = Fit(0.0, np.zeros(case.truth.size), np.eye(case.truth.size), case.truth, ())
+    none = CornerFit(0.0, np.zeros(case.truth.size), np.eye(case.truth.size), case.truth, ())
     only_focal = np.arange(case.truth.size) == CAMERA.start
     found = valley.covariance(none, only_focal)
     assert found[CAMERA.start, CAMERA.start] == pytest.approx(sigma**2, rel=1e-3)
@@ -123,7 +117,7 @@ def test_the_volume_across_the_profile_includes_a_prior_that_grows_with_the_foca
     assert grown.sigma[column] == pytest.approx(width * prior.sigma[column])
     own = np.where(only, grown.root_precision, 0.0) ** 2
     information = np.diag(own + only / (told * np.where(only, prior.sigma, 1.0)) ** 2)
-    found = log_volume_across(Fit(0.0, np.zeros(state.size), information, state, ()), case.truth, prior)
+    found = log_volume_across(CornerFit(0.0, np.zeros(state.size), information, state, ()), case.truth, prior)
 
     log_density = -(_Z**2) / 2 - (told * _Z / width) ** 2 / 2 - np.log(width)
     integral = np.sum(np.exp(log_density)) * (_Z[1] - _Z[0]) * told * prior.sigma[column]
@@ -132,11 +126,10 @@ def test_the_volume_across_the_profile_includes_a_prior_that_grows_with_the_foca
 
 def test_walking_the_profile_reports_a_lower_minimum(case: Case) -> None:
     sigma = np.sqrt(covariance_of(case.best.information, case.prior.free)[CAMERA.start, CAMERA.start])
-    anchored = case.prior.holding(CAMERA.start)
     beside = at_focal(case.best.state, case.best.state.camera[0] * float(np.exp(1.5 * sigma)))
-    begun = relax([case.cells], beside, anchored, case.variances, tolerance=1e-6)
-    valley = trace_valley([case.cells], begun, case.prior, case.variances)
+    begun = relax(case.problem.holding(CAMERA.start), beside, tolerance=1e-6)
+    valley = trace_valley(case.problem, begun)
     assert 1.0 < valley.gain <= begun.cost - case.best.cost + 1e-6
     assert abs(np.log(valley.lowest.camera[0] / case.best.state.camera[0])) < 0.7 * sigma
-    middle = centred([case.cells], begun, valley, case.prior, case.variances)
+    middle = centred(case.problem, begun, valley)
     assert abs(np.log(middle.state.camera[0] / case.best.state.camera[0])) < 0.2 * sigma

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from calib.geometry import Calibration, Intrinsics, Pose
-from calib.refinement import CAMERA, PROJECTOR, SQUARENESS_DEG, TANGENTIAL, Fit, Knowledge, LensPrior, PrincipalPoint
+from calib.refinement import (
+    CAMERA,
+    PROJECTOR,
+    SQUARENESS_DEG,
+    TANGENTIAL,
+    CornerFit,
+    Knowledge,
+    LensPrior,
+    PrincipalPoint,
+)
 from calib.refinement.scale_mixture import mix_scales, weigh
 from calib.self_calibration import SelfCalibration, self_calibrate
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
@@ -35,7 +44,7 @@ def test_scales_are_those_of_the_mixture(case: Case, difference: float) -> None:
     contrast[:, COLUMNS[:2]], contrast[:, COLUMNS[2:]] = np.eye(2), -np.eye(2)
     told = np.array([difference, -difference])
     apart = contrast @ values - told
-    fit = Fit(
+    fit = CornerFit(
         float(of_prior.sum() + apart @ apart / sigma_of_data**2),
         slope + contrast.T @ apart / sigma_of_data**2,
         np.diag(np.where(curvature > 0, curvature, 1.0)) + contrast.T @ contrast / sigma_of_data**2,
@@ -55,8 +64,8 @@ def test_what_is_said_of_lenses_and_walls_is_of_no_population(case: Case) -> Non
     said = replace(_knowledge(), lenses=(LensPrior().with_sigmas(decentering=3e-4),) * 2, squareness_deg=SQUARENESS_DEG)
     prior = said.prior(case.truth)
     assert prior.populations == ()
-    weighed = weigh([case.cells], case.best.state, prior, case.variances)
-    assert weighed.prior is prior
+    weighed = weigh(case.problem.under(prior), case.best.state)
+    assert weighed.problem.prior is prior
     assert weighed.cost == weighed.fit.cost
     unsaid = replace(said, lenses=(LensPrior(), LensPrior())).with_squareness(None).prior(case.truth)
     assert [len(population.columns) for population in unsaid.populations] == [2, 2, 3]

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.estimation import Shifts
 from calib.geometry import Matches
 from calib.numerics import CUBIC, Floats, monomials
-from calib.refinement import Shifts
 from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 

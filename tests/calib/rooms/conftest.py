@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.refinement import Cells, Knowledge
+from calib.estimation import Cells
+from calib.refinement import Knowledge
 from calib.rooms import RigPrior, Room, RoomEstimate, estimate_room
 from calib.synthetic import SyntheticRoom, random_room
 from tests.support.known_rigs import cells_of, disturbed, knowledge_of, true_room

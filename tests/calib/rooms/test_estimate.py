@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.estimation import association_scores
+from calib.estimation import Cells, Shifts, association_scores
 from calib.geometry import PER_POSE, Pose
 from calib.numerics import CUBIC, Floats, monomials
-from calib.refinement import CAMERA, PROJECTOR, SHARED, TANGENTIAL, Cells, Shifts
+from calib.refinement import CAMERA, PROJECTOR, SHARED, TANGENTIAL
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, estimate_room
 from calib.synthetic import RoomOptions

@@ -14,7 +14,7 @@ from tests.support.states import gradient_of
 
 def at(found: RoomEstimate, room: Room) -> RoomEstimate:
     """The estimate with this room as its solution."""
-    return replace(found, fit=replace(found.fit, layout=room))
+    return replace(found, fit=replace(found.fit, state=room))
 
 
 def sigma_by_differences(found: RoomEstimate, value: Callable[[RoomEstimate], float]) -> float:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.refinement.match_cells import Cells
-from calib.refinement.noise_model import Noise, noise_of
+from calib.estimation.match_cells import Cells
+from calib.estimation.noise import Noise, noise_of
 
 SIGMA_PX = 0.05
 

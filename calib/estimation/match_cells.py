@@ -12,6 +12,7 @@ from functools import reduce
 import cv2
 import numpy as np
 
+from calib.estimation.cell_sums import Raster, Reference, slots, sums_over_cells
 from calib.geometry import FACES, Matches, TooFewMatchesError, homography_between, mapped
 from calib.numerics import (
     CONIC,
@@ -26,7 +27,6 @@ from calib.numerics import (
     monomials,
     normalisation,
 )
-from calib.refinement.cell_sums import Raster, Reference, slots, sums_over_cells
 
 _CELLS_PER_PLANE = 200
 _SAMPLE = 5_000  # the median of so many deviations is known to 1 %

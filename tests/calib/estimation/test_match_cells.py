@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calib.estimation.match_cells import Cells, follow_one_plane, into_cells
 from calib.geometry import Matches, TooFewMatchesError
-from calib.refinement.match_cells import Cells, follow_one_plane, into_cells
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
 LENSES: dict[str, Any] = {
