@@ -54,6 +54,7 @@ from calib.numerics.sampling import (
     SEED,
     TRIAL_PIXELS,
     at_random,
+    chosen_ones,
     distinct,
     evenly,
     evenly_spread,

@@ -65,6 +65,37 @@ def at_random(count: int, most: int = ENOUGH_PIXELS) -> Ints:
     return np.sort(np.random.default_rng(SEED).choice(count, most, replace=False))
 
 
+def chosen_ones(chosen: Bools, numbers: Ints) -> Ints:
+    """Return the flat indices of some of the chosen pixels (H, W), by ascending `numbers` (N,), counted row by row.
+
+    A list of all of them takes eight times the memory of the image.
+    """
+    indices = np.empty(len(numbers), np.int64)
+    _note_ones(np.ascontiguousarray(chosen), numbers, indices)
+    return indices
+
+
+@compiled
+def _note_ones(chosen: Bools, numbers: Ints, indices: Ints) -> None:
+    """Fill in the flat indices (N,) of the set elements (H, W) with these numbers."""
+    height, width = chosen.shape
+    before = drawn = 0
+    for row in range(height):
+        of_row = chosen[row]
+        count = 0
+        for column in range(width):
+            count += of_row[column]
+        number = before
+        if drawn < len(numbers) and numbers[drawn] < before + count:
+            for column in range(width):
+                if of_row[column]:
+                    if drawn < len(numbers) and number == numbers[drawn]:
+                        indices[drawn] = row * width + column
+                        drawn += 1
+                    number += 1
+        before += count
+
+
 def distinct(count: int, alike: Callable[[int], Bools], most: int | None = None) -> list[int]:
     """Return which of `count` candidates, best first, are like none of the better ones that are returned.
 

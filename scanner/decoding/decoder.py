@@ -28,6 +28,7 @@ from scanner.decoding.coordinates.code_images import CodeImages
 from scanner.decoding.coordinates.coordinate_maps import Maps, coordinate_maps
 from scanner.decoding.coordinates.edge_refinement import check_roughness, refine_by_edges, widen_by_roughness
 from scanner.decoding.corrections.frame_corrections import (
+    CorrectedFrames,
     FrameCorrections,
     corrections_of,
     is_copy,
@@ -88,6 +89,8 @@ def checked_maps(
     leave_out_stray_light(code_images, maps)
     check_roughness(plan, maps)
     widen_by_roughness(plan, maps)
+    for code_words in code_images.codes:
+        code_words.forget_contrasts()
     refined = refine_by_edges(code_images, maps, observed.noise, undecided)
     with attribute_to_shifts(plan, observed.code_shifts):
         check_cycles(plan, maps.projector_px)
@@ -249,7 +252,7 @@ class Decoder:
 
     def _sampled(self, frames: Image, corrections: FrameCorrections) -> Samples:
         """Sample the corrected frames, from the kept ones (N, H, W)."""
-        read = partial(corrections.undone, frames, self._plan)
+        read = CorrectedFrames(self._plan, frames, corrections).read
         return Samples.read(self._plan, frames.shape[1:], read, neighbours=needs_neighbours(self._plan))
 
     def _without_ambient_change(self, frames: Image, corrections: FrameCorrections) -> Decoding:
@@ -272,7 +275,7 @@ class Decoder:
         """
         if self._texture is None:
             raise RuntimeError("no frames were kept")
-        code_images = CodeImages(self._plan, samples.scattered, partial(corrections.undone, frames, self._plan))
+        code_images = CodeImages(CorrectedFrames(self._plan, frames, corrections), samples.scattered)
         if self._merger is not None:
             code_images.log_exposure = self._merger.log_exposure
         observed = observe(code_images, samples, self._projector_size)
@@ -291,8 +294,7 @@ class Decoder:
                 code_images.codes.clear()  # the frames alone tell of motion
                 motion = observed.motion
                 if halves := halves_of(self._plan):
-                    geometry = code_images.plan, maps.projector_px, self._projector_size
-                    motion = motion_between(halves, code_images.equalised, *geometry, motion)
+                    motion = motion_between(halves, code_images, maps.projector_px, self._projector_size, motion)
                 cell_px = maps.projector_px
                 if motion is not None and motion.significant and not motion.is_too_large:
                     cell_px = cell_px if by_pixel else cell_px.copy()

@@ -9,7 +9,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Floats, Floats32, around, compiled
+from calib.numerics import Bools, Floats, Floats32, Ints, around, compiled
 from scanner.decoding.between_axes.registration import TILE_PX, TileWarp, centres_of_tiles, moments_of_tiles
 from scanner.decoding.motion import MOST_ROUGH_PX, PER_DEVICE, shifts_by_motion
 from scanner.decoding.significance import FEWEST_PIXELS, NEGLIGIBLE
@@ -51,7 +51,7 @@ def _note_inside(projector_px: Floats32, last_px: Floats32, near_px: np.float32,
         for x in range(projector_px.shape[1]):
             across, down = projector_px[y, x, 0], projector_px[y, x, 1]
             least = min(min(across, last_px[0] - across), min(down, last_px[1] - down))
-            near[y, x] = np.isfinite(across) and np.isfinite(down) and least < near_px
+            near[y, x] = (across == across) & (down == down) & (least < near_px)
 
 
 def near_border(
@@ -64,44 +64,46 @@ def near_border(
     """
     near = np.zeros(projector_px.shape[:2], np.bool_)
     steep = np.maximum(np.linalg.norm(places.gradient, axis=2), NEGLIGIBLE)
+    smooth = np.isfinite(places.projector_px).all(axis=1) & np.isfinite(places.gradient).all(axis=(1, 2))
+    planes = np.concatenate([places.projector_px[:, :, None], places.gradient], axis=2)
     last_px = np.array(size) - 1.0
-    _note_near(projector_px, places.projector_px, places.gradient, moved_px, steep, last_px, reach_px, TILE_PX, near)
+    _note_near(projector_px, np.flatnonzero(smooth), planes, moved_px, 1 / steep, last_px, reach_px, TILE_PX, near)
     return near
 
 
 @compiled
 def _note_near(
     projector_px: Floats32,
-    at_centre: Floats,
-    gradient: Floats,
+    smooth: Ints,
+    planes: Floats,
     moved_px: Floats,
-    steep: Floats,
+    per_px: Floats,
     last_px: Floats,
     reach_px: float,
     tile_px: int,
     near: Bools,
 ) -> None:
-    """Mark pixels of T tiles; `at_centre` (T, 2): coordinates of their middles, `steep` (T, 2): norms of their
-    gradients.
+    """Mark pixels of the `smooth` ones of T tiles; `planes` (T, 2, 3): coordinates of their middles, and gradients;
+    `per_px` (T, 2): camera px for each projector px.
     """
     columns = near.shape[1] // tile_px
-    for tile in range(near.shape[0] // tile_px * columns):
-        if not (np.isfinite(at_centre[tile]).all() and np.isfinite(gradient[tile]).all()):
-            continue
-        top, first_column = tile // columns * tile_px, tile % columns * tile_px
-        for y in range(tile_px):
-            for x in range(tile_px):
-                coordinates = projector_px[top + y, first_column + x]
-                known = np.isfinite(coordinates[0]) and np.isfinite(coordinates[1])
-                inside_px = np.inf
-                for a in range(2):
-                    place = np.float64(coordinates[a])
-                    if not known:
-                        right, down = x - (tile_px - 1) / 2, y - (tile_px - 1) / 2
-                        place = at_centre[tile, a] + gradient[tile, a, 0] * right + gradient[tile, a, 1] * down
-                    place -= moved_px[tile, a]
-                    inside_px = min(inside_px, min(place, last_px[a] - place) / steep[tile, a])
-                near[top + y, first_column + x] = abs(inside_px) < reach_px
+    last_x, last_y, half = last_px[0], last_px[1], (tile_px - 1) / 2
+    for tile in smooth:
+        top, left = tile // columns * tile_px, tile % columns * tile_px
+        moved_x, moved_y = moved_px[tile, 0], moved_px[tile, 1]
+        x_at, x_right, x_down = planes[tile, 0, 0], planes[tile, 0, 1], planes[tile, 0, 2]
+        y_at, y_right, y_down = planes[tile, 1, 0], planes[tile, 1, 1], planes[tile, 1, 2]
+        per_x, per_y = per_px[tile, 0], per_px[tile, 1]
+        for row in range(tile_px):
+            of_row, note = projector_px[top + row, left : left + tile_px], near[top + row, left : left + tile_px]
+            for column in range(tile_px):
+                x, y = np.float64(of_row[column, 0]), np.float64(of_row[column, 1])
+                known = (x == x) & (y == y)
+                right, down = column - half, row - half
+                x = (x if known else x_at + x_right * right + x_down * down) - moved_x
+                y = (y if known else y_at + y_right * right + y_down * down) - moved_y
+                inside_px = min(min(x, last_x - x) * per_x, min(y, last_y - y) * per_y)
+                note[column] = abs(inside_px) < reach_px
 
 
 def part_around(projector_px: Floats32) -> tuple[slice, slice]:

@@ -13,10 +13,21 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import MANY_PIXELS, Floats, Floats32, Image, Ints, evenly_spread
+from calib.numerics import (
+    MANY_PIXELS,
+    STRIP_ROWS,
+    Floats,
+    Floats32,
+    Image,
+    Ints,
+    Window,
+    chosen_ones,
+    compiled,
+    in_slices,
+)
 from scanner.decoding.between_axes.borders import REACH_PX, Edges, part_around, places_of_tiles
 from scanner.decoding.between_axes.coarse_to_fine import TimeOfChange, motion_of, time_of_change
-from scanner.decoding.coordinates import Frames
+from scanner.decoding.coordinates import CodeImages
 from scanner.decoding.motion import (
     COLUMNS,
     LEAST_PX,
@@ -111,28 +122,61 @@ class EvenlyLit:
         return totals
 
 
-def evenly_lit(
-    halves: tuple[Half, Half],
-    frames: Callable[[], Iterable[tuple[int, Image]]],
-    shape: tuple[int, int],
-    groups: Sequence[Ints],
-) -> EvenlyLit:
-    """Add up the frames (H, W) of a capture that belong to a half; at `groups` of pixels, of flat indices (P,), mean
-    each pair of them.
+def evenly_lit(halves: tuple[Half, Half], code_images: CodeImages, part: Window, groups: Sequence[Ints]) -> EvenlyLit:
+    """Add up the frames of a capture that belong to a half, in a part of the image (H, W); at `groups` of its pixels,
+    of ascending flat indices (P,), mean each pair of them.
     """
-    pictures = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    at_pixels: dict[tuple[int, int], list[Image]] = {}
-    pair_of = {frame: pair for half in halves for pair in pairs_of(half.axis).values() for frame in pair}
-    for number, grey in frames():
+    rows, columns = part
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    pictures = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    order = code_images.plan.shown.index
+    pairs = sorted((pair for half in halves for pair in pairs_of(half.axis).values()), key=lambda p: max(map(order, p)))
+    pairs.sort(key=lambda pair: min(map(order, pair)))
+    levels = tuple(np.empty((len(pairs), len(pixels)), code_images.white.dtype) for pixels in groups)
+    needed = {frame for half in halves for frame in half.weights} | {frame for pair in pairs for frame in pair}
+
+    def add(strip: slice) -> None:
+        there = slice(rows.start + strip.start, rows.start + strip.stop), columns
+        frames, places, corner = code_images.stacked(there, sorted(needed, key=order))
         for half, picture in zip(halves, pictures, strict=True):
-            if weight := half.weights.get(number):
-                cv2.addWeighted(picture, 1, grey, weight, 0, dst=picture, dtype=cv2.CV_32F)
-        if (pair := pair_of.get(number)) is not None:
-            own = [grey.reshape(-1)[pixels] for pixels in groups]
-            first = at_pixels.get(pair)
-            at_pixels[pair] = own if first is None else [*map(_mean, first, own)]
-    levels = tuple(map(np.stack, zip(*at_pixels.values(), strict=True)))
-    return EvenlyLit(halves, frames, pictures, tuple(at_pixels), levels)
+            ordered = sorted(half.weights, key=order)
+            weights = np.array([half.weights[frame] for frame in ordered], np.float32)
+            _add_up(frames, np.array([places[frame] for frame in ordered], np.int64), weights, corner, picture[strip])
+        of_pairs = np.array([[places[frame] for frame in pair] for pair in pairs], np.int64).reshape(-1, 2)
+        for pixels, means in zip(groups, levels, strict=True):
+            own = slice(*np.searchsorted(pixels, (strip.start * width, strip.stop * width)).tolist())
+            _note_means(frames, of_pairs, corner, pixels[own] - strip.start * width, width, means[:, own])
+
+    in_slices(height, STRIP_ROWS, add)
+    return EvenlyLit(halves, partial(code_images.equalised, part), pictures, tuple(pairs), levels)
+
+
+@compiled
+def _add_up(frames: Image, places: Ints, weights: Floats32, corner: tuple[int, int], picture: Floats32) -> None:
+    """Add the weighted frames at some places of (N, ...), from a corner on, to a picture (H, W)."""
+    top, left = corner
+    height, width = picture.shape
+    for row in range(height):
+        total = picture[row]
+        for k in range(len(places)):
+            levels, weight = frames[places[k], top + row, left : left + width], weights[k]
+            for i in range(width):
+                total[i] += weight * np.float32(levels[i])
+
+
+@compiled
+def _note_means(frames: Image, pairs: Ints, corner: tuple[int, int], pixels: Ints, width: int, means: Image) -> None:
+    """Note the means (pairs, P), in whole grey levels, of pairs of frames (N, ...) at pixels of a strip that begins at
+    a corner of them.
+    """
+    top, left = corner
+    for pair in range(len(pairs)):
+        pattern, inverse = frames[pairs[pair, 0]], frames[pairs[pair, 1]]
+        for k in range(len(pixels)):
+            row, column = top + pixels[k] // width, left + pixels[k] % width
+            total = np.int64(pattern[row, column]) + np.int64(inverse[row, column])
+            half = total >> 1
+            means[pair, k] = half + (total & half & 1)  # a half is rounded to the even number, as by OpenCV
 
 
 def _mean(pattern: Image, inverse: Image) -> Image:
@@ -173,8 +217,7 @@ _BETWEEN = _Timing()
 
 def motion_between(
     halves: tuple[Half, Half],
-    frames: Frames,
-    plan: SequencePlan,
+    code_images: CodeImages,
     projector_px: Floats32,
     projector_size: tuple[int, int],
     within: MotionEstimate | None,
@@ -185,7 +228,7 @@ def motion_between(
     precedence; the uncertainty of the motion between the halves is then added to it.
     """
     height, width, _ = projector_px.shape
-    sizes = (width, height), projector_size
+    sizes, plan = ((width, height), projector_size), code_images.plan
     # Codes alone give coordinates in steps.
     step_px = 0.0 if plan.fringes else max(axis.cell for axis in plan.axes)
     rows, columns = part = part_around(projector_px)
@@ -196,8 +239,7 @@ def motion_between(
     edges = Edges(
         projector_px, step_px, places, shares, projector_size, camera_size=sizes[0], origin=(columns.start, rows.start)
     )
-    shape = projector_px.shape[0], projector_px.shape[1]
-    lit = evenly_lit(halves, partial(frames, part), shape, _compared_pixels(halves, edges))
+    lit = evenly_lit(halves, code_images, part, _compared_pixels(halves, edges))
     fit, timing = motion_of(lit.pictures, edges), _BETWEEN
     for moment in _within_halves(lit):
         of_other = motion_of(lit.pictures_of(moment.before, moment.after), edges)
@@ -241,8 +283,12 @@ def _compared_pixels(halves: tuple[Half, Half], edges: Edges) -> list[Ints]:
     if not any(pairs_of(half.axis) for half in halves):
         return []
     pixels = edges.beside(np.zeros(COLUMNS), REACH_PX)
-    groups = (np.flatnonzero(chosen) for chosen in (pixels.scene, pixels.border))
-    return [evenly_spread(group, MANY_PIXELS) for group in groups if len(group) >= FEWEST_PIXELS]
+    groups = []
+    for chosen in (pixels.scene, pixels.border):
+        count = np.count_nonzero(chosen)
+        if count >= FEWEST_PIXELS:
+            groups.append(chosen_ones(chosen, np.arange(0, count, -(-count // MANY_PIXELS))))
+    return groups
 
 
 def _within_halves(lit: EvenlyLit) -> Iterator[TimeOfChange]:

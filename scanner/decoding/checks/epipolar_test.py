@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.finding import Datum, Finding, Severity
 from calib.geometry import Matches
-from calib.numerics import Bools, Floats, Floats32, Image, at_random
+from calib.numerics import Bools, Floats, Floats32, Image, at_random, chosen_ones
 from scanner.decoding.constraints import FRAMES_CONTRADICT, MOST_BROKEN, suspected
 from scanner.decoding.coordinates import CodeImages, Maps
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, Reasons, count_reasons
@@ -175,8 +175,7 @@ def _faintest(contrast: Floats32, is_outlier: Bools, usual: float) -> float:
 
 def _some(chosen: Bools) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns of some of the chosen pixels (H, W)."""
-    places = np.flatnonzero(chosen)
-    row, column = np.divmod(places[at_random(len(places))], chosen.shape[1])
+    row, column = np.divmod(chosen_ones(chosen, at_random(int(np.count_nonzero(chosen)))), chosen.shape[1])
     return row, column
 
 

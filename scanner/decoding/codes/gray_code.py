@@ -56,6 +56,11 @@ class CodeWords:
                 np.maximum(self.contrast[rows], contrast, out=self.contrast[rows])
         words[:] = self.code.relative_to_base(words)
 
+    def forget_contrasts(self) -> None:
+        """Let go of everything but the words, as large as the frames of a dozen bits."""
+        self.contrast, self.fine, self.optional = None, {}, {}
+        self.least = self._least_of_others = np.empty((0, 0), self.least.dtype)
+
     @property
     def least_needed(self) -> Image:
         """(H, W): the smallest contrast among the bits that are not optional."""
@@ -69,6 +74,16 @@ class CodeWords:
         for contrast in self.optional.values():
             np.maximum(contrast, least, out=contrast, where=where)
 
+    def least_at(self, bits: int, pixels: Ints | None = None) -> Image:
+        """Return the smallest contrast of the coarsest `bits`: of all pixels (H, W), or at flat indices (P,)."""
+        images = [self.least, *(image for bit, image in self.fine.items() if bit < bits)]
+        if pixels is not None:
+            images = [image.reshape(-1)[pixels] for image in images]
+        least = images[0].copy()
+        for image in images[1:]:
+            np.minimum(least, image, out=least)
+        return least
+
     def without_finest(self, count: int, *, optional: bool = False) -> "CodeWords":
         """Return the coarser code without its `count` finest bits; its `least` covers all its bits.
 
@@ -76,13 +91,10 @@ class CodeWords:
         """
         coarser = copy(self)
         coarser.code, coarser.fine = self.code.without_finest(count), {}
-        coarser.words = self.words >> self.words.dtype.type(count)
-        coarser.least = self.least.copy()
-        for bit, image in self.fine.items():
-            if bit < coarser.code.bits:
-                np.minimum(coarser.least, image, out=coarser.least)
-                if optional:
-                    coarser.optional = {**coarser.optional, bit: image}
+        coarser.words = self.words >> self.words.dtype.type(count) if count else self.words
+        kept = {bit: image for bit, image in self.fine.items() if bit < coarser.code.bits}
+        coarser.least = self.least_at(coarser.code.bits)
+        coarser.optional = {**coarser.optional, **(kept if optional else {})}
         if not coarser.optional:
             coarser._least_of_others = coarser.least  # and the coarser code holds no picture of the finer one
         return coarser

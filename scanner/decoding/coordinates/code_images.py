@@ -11,14 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import STRIP_ROWS, WHOLE, Floats32, Image, Part, Words, in_slices
+from calib.numerics import STRIP_ROWS, WHOLE, Floats32, Image, Part, Window, Words, in_slices
 from scanner.decoding.codes import CodeWords
-from scanner.decoding.corrections import gains_of_pairs, levels_of_bit, white_of
+from scanner.decoding.corrections import CorrectedFrames, FrameCorrections, gains_of_pairs, levels_of_bit, white_of
 from scanner.decoding.light import Sample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-
-# Yields the index and the image of each pattern in a part of the picture.
-Frames = Callable[[Part], Iterator[tuple[int, NDArray[Any]]]]
 
 
 class CodeImages:
@@ -31,14 +28,12 @@ class CodeImages:
     white in the patterns relative to the white frame; if it differs from 1, `white` and `threshold` are those of the
     patterns.
 
-    `sample`: of all frames. `read`: yields a part of the frames at some places in the capture.
+    `sample`: of all `frames`.
     """
 
-    def __init__(
-        self, plan: SequencePlan, sample: Sample, read: Callable[[Part, Sequence[int]], Iterator[Image]]
-    ) -> None:
-        self.plan = self._shown = plan
-        self._read = read
+    def __init__(self, frames: CorrectedFrames, sample: Sample) -> None:
+        plan = self.plan = self._shown = frames.plan
+        self._frames = frames
         self._equalisers: dict[int, Callable[[Image, Part], NDArray[Any]]] = {}
         self._first = {plan.shown.index(index): index for index in plan.shown}
         self.gains = gains_of_pairs(plan, sample)
@@ -84,9 +79,24 @@ class CodeImages:
     ) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield the index of each pattern, or of some, and a part of its image, equalised."""
         places = [place for place, index in self._first.items() if frames is None or index in frames]
-        for place, frame in zip(places, self._read(part, places), strict=True):
+        for place, frame in zip(places, self._frames.read(part, places), strict=True):
             index = self._first[place]
             yield index, self._equalisers[index](frame, part) if index in self._equalisers else frame
+
+    def stacked(self, part: Window, frames: Sequence[int]) -> tuple[Image, dict[int, int], tuple[int, int]]:
+        """Return a stack (N, ...) that holds some frames, by index, as `equalised`; the place of each in it; and the
+        row and column at which the part begins in it.
+
+        The frames as they were kept, if they are not corrected.
+        """
+        if self._frames.corrections == FrameCorrections() and not self._equalisers.keys() & {*frames}:
+            kept = {index: place for place, index in self._first.items() if index in frames}
+            return self._frames.taken, kept, (part[0].start, part[1].start)
+        stack = np.empty((len(frames), *self.threshold[part].shape), self.threshold.dtype)
+        places = {}
+        for number, (index, frame) in enumerate(self.equalised(part, frames)):
+            stack[number], places[index] = frame, number
+        return stack, places, (0, 0)
 
     def equalise(self, group: Sequence[int], by: Callable[[int, Image, Part], NDArray[Any]]) -> None:
         """Equalise a group of frames from now on, each by its number in the group."""

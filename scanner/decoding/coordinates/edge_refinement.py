@@ -21,6 +21,7 @@ from calib.numerics import (
     Floats32,
     Image,
     Ints,
+    Window,
     around,
     compiled,
     evenly_spread,
@@ -28,7 +29,7 @@ from calib.numerics import (
     lines_of,
     widened,
 )
-from scanner.decoding.codes import CELLS_PER_PIXEL, Lines, interpolate, levels_of_bits
+from scanner.decoding.codes import CELLS_PER_PIXEL, BitLevels, interpolate
 from scanner.decoding.coordinates.axis_decoder import Coordinate, largest_variance, least_contrasts
 from scanner.decoding.coordinates.code_images import CodeImages
 from scanner.decoding.coordinates.coordinate_maps import Maps, breaks
@@ -163,14 +164,15 @@ def refine_by_edges(code_images: CodeImages, maps: Maps, noise: NoiseModel, unde
     part = around(usable)
     view, usable = maps.within(part), usable[part]
     kept = view.reason == _KEPT
-    value = np.full((len(measured), *kept.shape), np.nan, np.float32)
-    variance = np.full(value.shape, np.inf, np.float32)
-    frames = dict(code_images.equalised(part))
-    thresholds = code_images.thresholds(frames)
+    grey = np.arange(np.iinfo(code_images.threshold.dtype).max + 1.0)
+    least, _ = least_contrasts(noise, grey)
+    light = code_images.threshold[part], code_images.white[part]
+    value, variance = np.empty((2, len(measured), *kept.shape), np.float32)
     for code_words, *into in zip(all_words, value, variance, strict=True):
-        levels = levels_of_bits(code_words.code, frames, thresholds)
-        images = (image[part] for image in (code_words.words, code_images.threshold, code_images.white))
-        _interpolate(code_words.code, noise, levels, [usable, *images, *into])
+        code = code_words.code
+        levels = _levels_of(code_images, code, part)
+        interpolate(code_words.words[part], usable, light, levels, least, noise.at_black + noise.gain * grey, into)
+        _in_projector_px(code, *into)
     between = np.logical_and.reduce([np.isfinite(of_axis) for of_axis in variance])
     # With fewer pixels between edges, cell centres are kept everywhere.
     if np.count_nonzero(between & kept) < max(1.0, HALF * np.count_nonzero(kept)):
@@ -212,33 +214,19 @@ def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
     np.copyto(maps.reason, _ISOLATED, where=kept & broken)
 
 
-def _interpolate(
-    code: GrayCode, noise: NoiseModel, levels: tuple[list[Image], list[Image]], images: list[np.ndarray]
-) -> None:
-    """Write the coordinates (H, W) between a code's edges, NaN where unknown, and their variance.
+def _levels_of(code_images: CodeImages, code: GrayCode, part: Window) -> BitLevels:
+    """Return the grey levels of a code's bits in a part of the image."""
+    thresholds: dict[int, Image] = {}
+    if code.unpaired:
+        thresholds = code_images.thresholds(dict(code_images.equalised(part)))
+    return BitLevels.of(code, *code_images.stacked(part, code.frames), thresholds)
 
-    `images` (H, W): which pixels are usable, the code's words, the levels half-way and when lit; coordinates, variance.
-    """
-    for turned in (False, True):
 
-        def along(some: slice, turned: bool = turned) -> None:
-            part = (slice(None), some) if turned else (some, slice(None))
-            lit, words, threshold, white, *into = (_lines(image[part], turned) for image in images)
-            if lit.any():
-                of_bits = np.stack([np.stack([image[part] for image in images_of_bits]) for images_of_bits in levels])
-                least, _ = least_contrasts(noise, threshold)
-                interpolate(code, noise, Lines(words, lit, least, threshold, white, _lines(of_bits, turned)), *into)
-
-        in_slices(images[0].shape[turned], STRIP_ROWS, along)
-    *_, value, variance = images
+def _in_projector_px(code: GrayCode, value: Floats32, variance: Floats32) -> None:
+    """Convert coordinates (H, W) of a code, in cells from its first, and their variance, in place."""
     value *= np.float32(code.cell)
     value -= np.float32(code.offset + 0.5)
     variance *= np.float32(code.cell**2)
-
-
-def _lines(image: np.ndarray, turned: bool) -> np.ndarray:
-    """Return the rows of an image (…, H, W), or its columns."""
-    return image.swapaxes(-2, -1) if turned else image
 
 
 def _apart(value: Floats32, cell: float) -> float:

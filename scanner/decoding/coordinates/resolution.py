@@ -9,7 +9,7 @@ Interreflection weakens fringes and stripes alike, relative to white. Lens blur 
 a stripe, which separates the two.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 import scipy
@@ -85,11 +85,13 @@ def _resolved(
         if np.quantile(at(code_words.fine[bit])[lit] / contrast[lit], NEARLY_ALL) >= _WEAK:
             break
         weak += 1
-    all_words = [code_words.without_finest(count) for count in range(weak + 1)]
+    bits = code_words.code.bits
     # A cell twice as long is worth a quarter, as its variance is four times as large.
-    decided = [float(np.mean(at(candidate.least)[lit] > certain_from[lit])) for candidate in all_words]
+    decided = [
+        float(np.mean(code_words.least_at(bits - count, pixels)[lit] > certain_from[lit])) for count in range(weak + 1)
+    ]
     count = _count_left_out(
-        code_images, all_words, noise, int(np.argmax(np.array(decided) / 4.0 ** np.arange(weak + 1)))
+        code_images, code_words, noise, range(int(np.argmax(np.array(decided) / 4.0 ** np.arange(weak + 1))), weak)
     )
     # A bit is undecided at the edge of its stripe: where pixels are larger than cells, nearly all are near an edge.
     few = decided[count] < NEARLY_ALL
@@ -114,17 +116,18 @@ def _cells_per_pixel(code_images: CodeImages, code_words: CodeWords, noise: Nois
     return float(np.sqrt(squares)) / FARTHEST_PX
 
 
-def _count_left_out(code_images: CodeImages, all_words: Sequence[CodeWords], noise: NoiseModel, fewest: int) -> int:
-    """Return the least number of bits to drop, from `fewest` on, such that cells that differ in one
-    bit are adjacent.
+def _count_left_out(code_images: CodeImages, code_words: CodeWords, noise: NoiseModel, counts: range) -> int:
+    """Return the least of these numbers of bits to drop such that cells that differ in one bit are adjacent, or the
+    next number.
     """
-    for count in range(fewest, len(all_words) - 1):
+    for count in counts:
+        coarser = [code_words.without_finest(count)]
         try:
-            if not check_codes(code_images.plan, [all_words[count]], noise, code_images.threshold, code_images.white):
+            if not check_codes(code_images.plan, coarser, noise, code_images.threshold, code_images.white):
                 return count
         except InputError:
             continue
-    return len(all_words) - 1
+    return counts.stop
 
 
 def drop_lost_fringes(code_images: CodeImages, noise: NoiseModel, sample: Sample) -> Iterator[Finding]:

@@ -50,19 +50,6 @@ class FrameCorrections:
     ghost: Ghost | None = None
     switch: AmbientLightChange | None = None
 
-    def undone(
-        self, frames: Image, plan: SequencePlan, part: Part = WHOLE, places: Sequence[int] | None = None
-    ) -> Iterator[Image]:
-        """Yield a part of the corrected frames of a capture, from the kept frames (N, H, W): of all, or of those at
-        some places.
-        """
-        every = range(len(frames))
-        wanted = every if places is None else places
-        needed = wanted if self.ghost is None and self.switch is None else every
-        read = partial(self._steady, frames, part, needed)
-        corrected = read() if self.switch is None else without_change(read, plan, self.switch)
-        return (image for place, image in zip(needed, corrected, strict=True) if place in wanted)
-
     def findings(self, plan: SequencePlan) -> Iterator[Finding]:
         """Yield a warning for each effect that was corrected."""
         if self.switch:
@@ -82,13 +69,35 @@ class FrameCorrections:
                 {"ghost_share": self.ghost.share},
             )
 
-    def _steady(self, frames: Image, part: Part, places: Sequence[int]) -> Iterator[Image]:
-        parts = (frames[place][part] for place in places)
-        light = parts if self.response is None else map(self.response.light_of, parts)
-        if self.ghost is None:
+
+@dataclass(frozen=True)
+class CorrectedFrames:
+    """The frames of a capture as they would be without the effects that are corrected."""
+
+    plan: SequencePlan
+    """Of the capture."""
+    taken: Image
+    """(N, H, W): as kept, in the order in which they were taken."""
+    corrections: FrameCorrections = FrameCorrections()
+    """What is taken out whenever they are read."""
+
+    def read(self, part: Part = WHOLE, places: Sequence[int] | None = None) -> Iterator[Image]:
+        """Yield a part of all frames, or of those at some places."""
+        every, ghost, switch = range(len(self.taken)), self.corrections.ghost, self.corrections.switch
+        wanted = every if places is None else places
+        needed = wanted if ghost is None and switch is None else every
+        read = partial(self._without_ghost, part, needed)
+        corrected = read() if switch is None else without_change(read, self.plan, switch)
+        return (image for place, image in zip(needed, corrected, strict=True) if place in wanted)
+
+    def _without_ghost(self, part: Part, places: Sequence[int]) -> Iterator[Image]:
+        response, ghost = self.corrections.response, self.corrections.ghost
+        parts = (self.taken[place][part] for place in places)
+        light = parts if response is None else map(response.light_of, parts)
+        if ghost is None:
             return light
-        rows = np.arange(frames.shape[1])[part[0]]
-        return without_ghost(light, self.ghost, rows[:, None] if isinstance(part[0], slice) else rows)
+        rows = np.arange(self.taken.shape[1])[part[0]]
+        return without_ghost(light, ghost, rows[:, None] if isinstance(part[0], slice) else rows)
 
 
 def corrections_of(plan: SequencePlan, frames: Image, sample: Sample) -> FrameCorrections:

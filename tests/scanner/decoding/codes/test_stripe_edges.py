@@ -108,16 +108,15 @@ def test_at_any_magnification_and_turn(scale: float, turn_deg: float, skew: floa
 
 
 def test_an_edge_is_where_pattern_and_inverse_cross() -> None:
-    levels = np.array([[80, 40], [40, 80]], np.uint8)
-    place, contrast = edge_between(levels[0], levels[1], -1)
+    place, contrast = edge_between((80.0, 40.0), (40.0, 80.0), -1)
     assert place == pytest.approx(0.5)
     assert contrast == 40
-    place, contrast = edge_between(np.array([90, 60], np.uint8), np.array([50, 60], np.uint8), 1)
+    place, contrast = edge_between((90.0, 60.0), (50.0, 60.0), 1)
     assert place == pytest.approx(0.75), "where the frame crosses its threshold"
     assert contrast == 40, "twice the difference from the threshold"
 
 
 def test_an_albedo_step_moves_no_edge() -> None:
     # The same stripe, on a surface that reflects a third from the second pixel on.
-    place, _ = edge_between(np.array([150, 60], np.uint8), np.array([20, 50], np.uint8), -1)
+    place, _ = edge_between((150.0, 60.0), (20.0, 50.0), -1)
     assert place == pytest.approx(0.5)
