@@ -30,7 +30,7 @@ from tests.support.states import device_of
 from tests.support.whole_room import TrueStation, stations
 
 _NOISE_PX, _CENTRE_SIGMA_PX = 0.03, 35.0
-_LEAST, _LEAST_SHARE = 200, 0.02  # matches on a plane of a station, as in `calib.registration.straight_planes`
+_LEAST, _LEAST_SHARE = 200, 0.02  # matches on a plane of a station, as in `calib.registration.range_view`
 _WALLS, _OF_A_BLOCK = 6, 6
 _CROSSING = 0.1  # largest scalar product of two perpendicular normals
 _OFF_M, _TURNED = 0.01, 0.003  # displacement of the start

@@ -9,16 +9,17 @@ data analysis using generalized linear models", 1986).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
 from calib.estimation import ROBUST_SIGMAS, Term, add_up
 from calib.geometry import IDENTITY, PER_POSE, Pose
-from calib.numerics import Floats, Ints, Quadratic, huber_weights, robust_sigma
+from calib.numerics import Floats, Ints, huber_weights, robust_sigma
 from calib.objects.patch_overlap import overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, ObjectView
-from calib.registration import couple_places, match_keypoints, step_places
+from calib.registration import adjust_places, couple_places, match_keypoints
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
@@ -77,28 +78,28 @@ class JointEstimate:
 
 def estimate_jointly(views: Sequence[ObjectView], places: Sequence[Pose]) -> JointEstimate:
     """From a start that is off by some grains at most."""
-    first = places[0].inverse()
+    first, middle = places[0].inverse(), views[0].middle
     now = [first @ place for place in places]
     pairs = list(combinations(range(len(views)), 2))
-    found: list[PairResiduals] = []
+    overlaps: list[PairResiduals] = []
+
+    def terms(places: Sequence[Pose]) -> list[Term]:
+        nonlocal overlaps
+        overlaps = _together(views, places, pairs, grains)
+        return [pair.term for pair in overlaps]
+
     for grains in _ROUNDS:
-        for _ in range(_STEPS):
-            found = _together(views, now, pairs, grains)
-            step = step_places(_normal(found, len(views)), _DAMPING)
-            now = [Pose.from_vector(twist) @ place for place, twist in zip(now, step, strict=True)]
-            if np.abs(step).max(initial=0.0) < _CONVERGED * views[0].middle[2]:
-                break
-        pairs = [(each.first, each.second) for each in found] if grains == NARROW else pairs
-    found = _together(views, now, pairs, NARROW)
-    middle = views[0].middle
-    total = {(each.first, each.second): each for each in found}
-    counts = {pair: len(views[pair[0]].pixel) + len(views[pair[1]].pixel) for pair in total}
+        now, _ = adjust_places(now, terms, steps=_STEPS, converged=_CONVERGED * middle[2], damping=_DAMPING)
+        pairs = [(pair.first, pair.second) for pair in overlaps] if grains == NARROW else pairs
+    overlaps = _together(views, now, pairs, NARROW)
+    total = {(pair.first, pair.second): pair for pair in overlaps}
+    counts = {(i, j): len(views[i].pixel) + len(views[j].pixel) for i, j in total}
     return JointEstimate(
         tuple(now),
-        *_covariance(found, len(views), middle),
+        *_covariance(overlaps, len(views), middle),
         middle,
-        {pair: each.surface / counts[pair] for pair, each in total.items()},
-        {pair: robust_sigma(each.off[: each.surface]) for pair, each in total.items()},
+        {numbers: pair.surface / counts[numbers] for numbers, pair in total.items()},
+        {numbers: robust_sigma(pair.off[: pair.surface]) for numbers, pair in total.items()},
     )
 
 
@@ -106,12 +107,16 @@ def align(first: ObjectView, second: ObjectView, pose: Pose, grains: Sequence[fl
     """One pair alone, by some of the patches."""
     places = [IDENTITY, pose]
     for grain in grains:
-        for _ in range(_STEPS):
-            found = residuals_of(first, second, (0, 1), places, grain * first.grain, count)
-            if found is None:
-                return places[1]
-            places[1] = Pose.from_vector(step_places(_normal([found], 2), _DAMPING)[1]) @ places[1]
+        terms = partial(_terms_of_pair, first, second, grain * first.grain, count)
+        places, _ = adjust_places(places, terms, steps=_STEPS, damping=_DAMPING)
     return places[1]
+
+
+def _terms_of_pair(
+    first: ObjectView, second: ObjectView, within: float, count: int, places: Sequence[Pose]
+) -> list[Term]:
+    residuals = residuals_of(first, second, (0, 1), places, within, count)
+    return [] if residuals is None else [residuals.term]
 
 
 def residuals_of(
@@ -190,15 +195,10 @@ def _together(
     return [each for each in found if each is not None]
 
 
-def _normal(found: Sequence[PairResiduals], count: int) -> Quadratic:
-    """By all places' twists about the origin, (6 n,)."""
-    return add_up(PER_POSE * count, (pair.term for pair in found))
-
-
 def _covariance(found: Sequence[PairResiduals], count: int, middle: Floats) -> tuple[Floats, Floats]:
     """And the information, about the middle: its shifts are known far better than those of the camera's centre."""
     turned = np.kron(np.eye(count), Pose(np.eye(3), -middle).adjoint)
-    matrix = _normal(found, count).information
+    matrix = add_up(PER_POSE * count, (pair.term for pair in found)).information
     bread = np.zeros_like(matrix)
     free = matrix[6:, 6:]
     scale = np.sqrt(np.maximum(np.diag(free), 1e-30))

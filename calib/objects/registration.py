@@ -18,7 +18,7 @@ from calib.objects.joint import NARROW, align
 from calib.objects.patch_overlap import OverlapEvidence, evidence, tolerance
 from calib.objects.pose_search import are_about_the_same, suggested_poses
 from calib.objects.view import PATCHES, ObjectView
-from calib.registration import NO_OVERLAP, NOTHING_SEEN, UnregisteredStation
+from calib.registration import NO_OVERLAP, NOTHING_SEEN, UnregisteredStation, grow_groups, supposed_places
 
 _SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
@@ -56,6 +56,14 @@ class AlternativePose:
 
     view: int
     turn_deg: float
+    worth: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """`places` of some views, and what the last of them is worth to the others."""
+
+    places: dict[int, Pose]
     worth: float
 
 
@@ -147,16 +155,16 @@ def _grown(
 ) -> tuple[dict[int, Pose], list[AlternativePose]]:
     """Grow a group from the most certain pair, by all views that its members can judge."""
     first, _ = max(edges, key=lambda pair: edges[pair][0].worth)
-    places = {first: IDENTITY}
-    missing = [k for k in views if k != first]
-    while missing:
-        tried = {k: _tried(views, edges, places, k) for k in missing}
-        best = max(missing, key=lambda k: tried[k][0].worth if tried[k] else -np.inf)
-        if not tried[best]:
-            break
-        places[best] = tried[best][0].pose
-        missing.remove(best)
-    return places, [each for k in places for each in _alternatives(views, edges, places, k)]
+
+    def extended(group: _Group) -> list[_Group]:
+        tried = {k: _tried(views, edges, group.places, k) for k in views if k not in group.places}
+        return [_Group({**group.places, k: some[0].pose}, some[0].worth) for k, some in tried.items() if some]
+
+    def best(groups: Sequence[_Group]) -> list[_Group]:
+        return [max(groups, key=lambda group: group.worth)] if groups else []
+
+    places = grow_groups([_Group({first: IDENTITY}, 0.0)], extended, best)[0].places
+    return places, [other for k in places for other in _alternatives(views, edges, places, k)]
 
 
 def _alternatives(
@@ -226,16 +234,14 @@ def _tried(
     k: int,
 ) -> list[Suggestion]:
     """Possible poses of a view relative to the members, best first. Empty if there are none."""
-    found: list[Suggestion] = []
-    for member, place in places.items():
-        for each in edges.get((min(member, k), max(member, k)), ()):
-            pose = place @ (each.pose if member < k else each.pose.inverse())
-            if any(are_about_the_same(pose, other.pose, views[k].grain) for other in found):
-                continue
-            judged = _judged(views, places, {k: pose})
-            if judged.holds:
-                found.append(Suggestion(pose, judged.worth))
-    return sorted(found, key=lambda each: -each.worth)
+    possible: list[Suggestion] = []
+    for _, pose in supposed_places(edges, places, k):
+        if any(are_about_the_same(pose, other.pose, views[k].grain) for other in possible):
+            continue
+        judged = _judged(views, places, {k: pose})
+        if judged.holds:
+            possible.append(Suggestion(pose, judged.worth))
+    return sorted(possible, key=lambda suggestion: -suggestion.worth)
 
 
 def _judged(views: Mapping[int, ObjectView], places: Mapping[int, Pose], part: Mapping[int, Pose]) -> _Judgement:

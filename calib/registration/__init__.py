@@ -1,23 +1,23 @@
 """Registration: how views of one scene fit together, by planes, keypoints and shape, without a first guess."""
 
-from calib.registration.alignment import couple_places, step_places
-from calib.registration.changes import Change, find_changes
 from calib.registration.deviations import (
     CellDeviations,
+    Change,
     Deviations,
     Region,
+    find_changes,
     find_regions,
     from_mesh,
     from_samples,
     groups,
     inflated,
 )
-from calib.registration.free_space import FreeSpace
-from calib.registration.keypoint_votes import fit_rigid_motion, voted_poses
+from calib.registration.group_evidence import ANOTHER_ROOM, SOMETHING_MOVED
 from calib.registration.keypoints import (
     Keypoints,
     describe_keypoints,
     find_keypoints,
+    fit_rigid_motion,
     for_hellinger,
     log_brightness,
     match_keypoints,
@@ -25,11 +25,17 @@ from calib.registration.keypoints import (
     no_keypoints,
     rectify_texture,
     sift,
+    voted_poses,
 )
-from calib.registration.outlier_stations import ANOTHER_ROOM, SOMETHING_MOVED
-from calib.registration.plane_step import add_pair, step_pose
-from calib.registration.pose_graph import PairPose, PoseGraph, solve_pose_graph
-from calib.registration.pose_samples import distinct_poses, even_rotations
+from calib.registration.pose_graph import (
+    PairPose,
+    PoseGraph,
+    adjust_places,
+    couple_places,
+    grow_groups,
+    solve_pose_graph,
+    supposed_places,
+)
 from calib.registration.projection import (
     HIDDEN,
     OFF_SURFACE,
@@ -38,10 +44,12 @@ from calib.registration.projection import (
     Gates,
     Patches,
     RangeImage,
+    add_pair,
     classify,
     descend,
+    step_pose,
 )
-from calib.registration.range_view import StationView, sample_evenly, station_view
+from calib.registration.range_view import StationView, sample_evenly, split_planes, station_view
 from calib.registration.register import (
     NO_OVERLAP,
     NOTHING_SEEN,
@@ -61,8 +69,7 @@ from calib.registration.sampled_surface import (
     spacing_of,
 )
 from calib.registration.segments import relative_noise
-from calib.registration.straight_planes import split_planes
-from calib.registration.surface_evidence import SurfacePose
-from calib.registration.surface_fit import FreeMotion
-from calib.registration.surface_pair import SurfacePoints
+from calib.registration.starting_poses import distinct_poses, even_rotations
+from calib.registration.surface_fit import FreeMotion, SurfacePose
+from calib.registration.surface_pair import FreeSpace, SurfacePoints
 from calib.registration.surface_registration import Alignment, SurfaceRegistration, register_surfaces

@@ -12,13 +12,13 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.estimation import Term, add_up
-from calib.geometry import PER_POSE, Pose, cross_matrix
-from calib.numerics import Floats, Quadratic, newton
+from calib.estimation import Term
+from calib.geometry import Pose, cross_matrix
+from calib.numerics import Floats
 from calib.registration.agreement import FINE, GATES
 from calib.registration.keypoints import match_keypoints
-from calib.registration.plane_step import step_pose
-from calib.registration.projection import add_patches
+from calib.registration.pose_graph import adjust_places, couple_places
+from calib.registration.projection import add_patches, step_pose
 from calib.registration.range_view import Surfaces
 
 # Undetermined directions of a station do not move: damping relative to the determined ones.
@@ -120,33 +120,16 @@ def align(
 
 def align_jointly(stations: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> dict[int, Pose]:
     """All places at once; the first station's stays."""
-    now = dict(places)
-    names = list(now)
-    pairs = list(combinations(names, 2))
-    for _ in range(_STEPS):
-        equations = {(a, b): normal_equations(stations[a], now[a], stations[b], now[b], FINE) for a, b in pairs}
-        pairs = [pair for pair in pairs if equations[pair].count > 0]
-        terms = [
-            couple_places(names.index(a), names.index(b), equations[a, b].gradient, equations[a, b].matrix)
-            for a, b in pairs
-        ]
-        twists = step_places(add_up(PER_POSE * len(names), terms), _DAMPING)
-        for name, twist in zip(names, twists, strict=True):
-            now[name] = Pose.from_vector(twist) @ now[name]
-        if np.abs(twists).max(initial=0.0) < _CONVERGED * stations[names[0]].distance:
-            break
-    return now
+    surfaces = [stations[name] for name in places]
+    pairs = list(combinations(range(len(surfaces)), 2))
 
+    def terms(now: Sequence[Pose]) -> list[Term]:
+        nonlocal pairs
+        fits = [normal_equations(surfaces[a], now[a], surfaces[b], now[b], FINE) for a, b in pairs]
+        meeting = [(pair, fit) for pair, fit in zip(pairs, fits, strict=True) if fit.count > 0]
+        pairs = [pair for pair, _ in meeting]
+        return [couple_places(*pair, fit.gradient, fit.matrix) for pair, fit in meeting]
 
-def couple_places(first: int, second: int, gradient: Floats, information: Floats, cost: float = 0.0) -> Term:
-    """What a pair adds to the cost, by the twists of all places: of the first, by which gradient (6,) and information
-    (6, 6) are, and of the second, which has the opposite effect.
-    """
-    sign = np.repeat([1.0, -1.0], PER_POSE)
-    columns = np.concatenate([PER_POSE * number + np.arange(PER_POSE) for number in (first, second)])
-    return Term(cost, sign * np.tile(gradient, 2), np.outer(sign, sign) * np.tile(information, (2, 2)), columns)
-
-
-def step_places(total: Quadratic, damping: float = 0.0) -> Floats:
-    """Twists (n, 6) of all places that lower the cost most; zero for the first one, which stays."""
-    return newton(total, np.arange(PER_POSE, len(total.gradient)), damping)[0].reshape(-1, PER_POSE)
+    converged = _CONVERGED * surfaces[0].distance
+    adjusted, _ = adjust_places(list(places.values()), terms, steps=_STEPS, converged=converged, damping=_DAMPING)
+    return dict(zip(places, adjusted, strict=True))

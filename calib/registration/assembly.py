@@ -22,9 +22,10 @@ from calib.registration.agreement import (
     nats_of_tilt,
 )
 from calib.registration.alignment import align, align_jointly
+from calib.registration.group_evidence import firmly_connected
 from calib.registration.hypotheses import Hypothesis
+from calib.registration.pose_graph import grow_groups, supposed_places
 from calib.registration.range_view import Surfaces
-from calib.registration.weakest_cuts import firmly_connected
 
 _BEAM, _TRIED, _SETTLED = 12, 60, 3
 _COMPARED = 4
@@ -91,17 +92,11 @@ def _groups(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[i
         if i in stations and j in stations
         for each in some
     ]
-    beam = _distinct(begun, size)
-    finished: list[Assembly] = []
-    while beam:
-        longer: list[Assembly] = []
-        for assembly in beam:
-            grown = _grown(surfaces, edges, stations, assembly)
-            longer += grown
-            if assembly.nats > DECIDED_NATS and not grown:
-                finished.append(assembly)
-        beam = _distinct(longer, size)
-    together = _distinct([_together(surfaces, assembly) for assembly in _distinct(finished, size)], size)
+    whole = grow_groups(
+        begun, lambda group: _grown(surfaces, edges, stations, group), lambda groups: _distinct(groups, size)
+    )
+    finished = _distinct([group for group in whole if group.nats > DECIDED_NATS], size)
+    together = _distinct([_together(surfaces, assembly) for assembly in finished], size)
     return sorted((_without_loose(surfaces, assembly) for assembly in together), key=lambda assembly: -assembly.nats)
 
 
@@ -117,16 +112,13 @@ def _distinct(assemblies: Sequence[Assembly], size: float) -> list[Assembly]:
 
 def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[int], group: Assembly) -> list[Assembly]:
     """The group with one station more, at its likeliest places."""
-    tried: list[tuple[float, int, Pose]] = []
-    for k in stations:
-        if k in group.places:
-            continue
-        for member, place in group.places.items():
-            pair = (min(member, k), max(member, k))
-            for edge in edges.get(pair, ()):
-                relative = edge.pose if member < k else edge.pose.inverse()
-                tried.append((edge.nats, k, place @ relative))
-    tried.sort(key=lambda each: -each[0])
+    tried = [
+        (edge.nats, k, place)
+        for k in stations
+        if k not in group.places
+        for edge, place in supposed_places(edges, group.places, k)
+    ]
+    tried.sort(key=lambda supposed: -supposed[0])
     worth = [(_coarsely(surfaces, group, k, place), k, place) for _, k, place in tried[:_TRIED]]
     worth.sort(key=lambda each: -each[0])
     grown: list[Assembly] = []

@@ -11,11 +11,10 @@ import numpy as np
 from calib.geometry import IDENTITY, Pose
 from calib.registration.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
 from calib.registration.alignment import align, normal_equations
-from calib.registration.keypoint_votes import voted_poses
-from calib.registration.plane_poses import LEAST_SINE, poses_by_planes
-from calib.registration.pose_samples import distinct_poses
+from calib.registration.keypoints import voted_poses
 from calib.registration.range_view import Surfaces
 from calib.registration.sampled_surface import extent_of, sample_surface
+from calib.registration.starting_poses import LEAST_SINE, distinct_poses, poses_by_planes
 from calib.registration.surface_hypotheses import surface_poses
 
 _SAME_ROTATION, _SAME_PLACE = np.radians(5.0), 0.04  # radians; relative to the distance

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import Pose
 from calib.numerics import Floats, compiled, inlined
-from calib.registration.plane_step import add_pair, step_pose
-from calib.registration.projection import Patches, rotate_vector
+from calib.registration.projection import Patches, add_pair, rotate_vector, step_pose
 from calib.registration.sampled_surface import SampledSurface
 
 REACH = 5  # cells around a sample that know it

@@ -1,25 +1,100 @@
-"""Poses of several surfaces from those of pairs: weighted least squares on SE(3), and pairs that contradict the others.
+"""Poses of several surfaces from those of pairs: groups that grow pair by pair, one estimate of all, and pairs that
+contradict the others.
 
-Residuals are twists; their derivatives are taken at the estimate (Barfoot, "State estimation for robotics", section
-9.3).
+Residuals of pairs' poses are twists; their derivatives are taken at the estimate (Barfoot, "State estimation for
+robotics", section 9.3).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 import scipy
 
-from calib.estimation import add_up
+from calib.estimation import Term, add_up
 from calib.geometry import IDENTITY, PER_POSE, Pose, cross_matrix
-from calib.numerics import Floats
-from calib.registration.alignment import couple_places, step_places
+from calib.numerics import Floats, Quadratic, newton
 
 _STEPS = 20
 _CONVERGED = 1e-10
 _BY_CHANCE = 1e-4  # probability of a χ² by chance, below which pairs contradict each other
 _TURNED = np.radians(1.0)
 _FLOOR = 1e-12  # of a variance, relative to the largest
+
+
+class RelativePose(Protocol):
+    """A supposed pose of one surface on another, X_first = R X_second + t."""
+
+    @property
+    def pose(self) -> Pose:
+        """Of the surface with the larger number on the other."""
+
+
+AnyRelativePose = TypeVar("AnyRelativePose", bound=RelativePose)
+AnyGroup = TypeVar("AnyGroup")
+
+
+def supposed_places(
+    edges: Mapping[tuple[int, int], Sequence[AnyRelativePose]], places: Mapping[int, Pose], number: int
+) -> Iterator[tuple[AnyRelativePose, Pose]]:
+    """Where a surface may be, by the poses of its pairs with those that have a place, with what supposes it.
+
+    `edges`: poses of pairs, whose smaller number comes first.
+    """
+    for member, place in places.items():
+        for edge in edges.get((min(member, number), max(member, number)), ()):
+            yield edge, place @ (edge.pose if member < number else edge.pose.inverse())
+
+
+def grow_groups(
+    begun: Sequence[AnyGroup],
+    extended: Callable[[AnyGroup], Sequence[AnyGroup]],
+    best: Callable[[Sequence[AnyGroup]], Sequence[AnyGroup]],
+) -> list[AnyGroup]:
+    """Groups that nothing extends any more, by a search that follows the `best` of those that were `extended` by one
+    surface (beam search).
+    """
+    beam, finished = best(begun), list[AnyGroup]()
+    while beam:
+        longer = [(group, extended(group)) for group in beam]
+        finished += [group for group, grown in longer if not grown]
+        beam = best([group for _, grown in longer for group in grown])
+    return finished
+
+
+def couple_places(first: int, second: int, gradient: Floats, information: Floats, cost: float = 0.0) -> Term:
+    """What a pair adds to the cost, by the twists of all places: of the first, by which gradient (6,) and information
+    (6, 6) are, and of the second, which has the opposite effect.
+    """
+    sign = np.repeat([1.0, -1.0], PER_POSE)
+    columns = np.concatenate([PER_POSE * number + np.arange(PER_POSE) for number in (first, second)])
+    return Term(cost, sign * np.tile(gradient, 2), np.outer(sign, sign) * np.tile(information, (2, 2)), columns)
+
+
+def adjust_places(
+    places: Sequence[Pose],
+    terms: Callable[[Sequence[Pose]], Sequence[Term]],
+    *,
+    steps: int,
+    converged: float = 0.0,
+    damping: float = 0.0,
+) -> tuple[list[Pose], Quadratic]:
+    """Places that lower the sum of terms most, by Newton's steps until no twist exceeds `converged`; the first stays.
+
+    With the sum by all twists (6 n,), as it was before the last step. Nothing moves once there are no terms.
+    """
+    now, free = list(places), np.arange(PER_POSE, PER_POSE * len(places))
+    total = add_up(PER_POSE * len(now), ())
+    for _ in range(steps):
+        total = add_up(PER_POSE * len(now), some := terms(now))
+        if not some:
+            break
+        twists = newton(total, free, damping)[0].reshape(-1, PER_POSE)
+        now = [Pose.from_vector(twist) @ place for twist, place in zip(twists, now, strict=True)]
+        if np.abs(twists).max() < converged:
+            break
+    return now, total
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,27 +189,23 @@ def _connected(pairs: Sequence[PairPose], root: int) -> dict[int, Pose]:
 
 def _solved(pairs: Sequence[PairPose], places: Mapping[int, Pose]) -> tuple[dict[int, Pose], Floats, Floats]:
     """Places, their covariance, and χ² of each pair."""
-    now, names = dict(places), list(places)
-    count = len(names)
-    covariance = np.zeros((PER_POSE * count, PER_POSE * count))
-    if count == 1:
-        return now, covariance, np.zeros(0)
-    for _ in range(_STEPS):
-        terms = []
-        for pair in pairs:
-            residual = (now[pair.first].inverse() @ now[pair.second] @ pair.pose.inverse()).log()
-            to_first = now[pair.first].inverse().adjoint
-            weighted, cost = to_first.T @ pair.information, float(residual @ pair.information @ residual)
-            numbers = names.index(pair.second), names.index(pair.first)
-            terms.append(couple_places(*numbers, weighted @ residual, weighted @ to_first, cost))
-        total = add_up(PER_POSE * count, terms)
-        twists = step_places(total)
-        for name, twist in zip(names, twists, strict=True):
-            now[name] = Pose.exp(twist) @ now[name]
-        if np.abs(twists).max() < _CONVERGED:
-            break
+    names = list(places)
+    chi2 = np.zeros(len(pairs))
+
+    def terms(now: Sequence[Pose]) -> list[Term]:
+        made = []
+        for number, pair in enumerate(pairs):
+            first, second = names.index(pair.first), names.index(pair.second)
+            residual = (now[first].inverse() @ now[second] @ pair.pose.inverse()).log()
+            to_first = now[first].inverse().adjoint
+            weighted, chi2[number] = to_first.T @ pair.information, residual @ pair.information @ residual
+            made.append(couple_places(second, first, weighted @ residual, weighted @ to_first, float(chi2[number])))
+        return made
+
+    solved, total = adjust_places(list(places.values()), terms, steps=_STEPS, converged=_CONVERGED)
+    covariance = np.zeros_like(total.information)
     covariance[PER_POSE:, PER_POSE:] = np.linalg.inv(total.information[PER_POSE:, PER_POSE:])
-    return now, covariance, np.array([term.cost for term in terms])
+    return dict(zip(names, solved, strict=True)), covariance, chi2
 
 
 def _worst(pairs: Sequence[PairPose], parts: Floats, places: Mapping[int, Pose], root: int) -> PairPose | None:

@@ -3,7 +3,7 @@ the pose that lays them on it.
 
 Point to plane, along the camera's ray instead of to the closest point (Chen and Medioni, "Object modelling by
 registration of multiple range images", 1992; Blais and Levine, "Registering multiview range data to create 3D computer
-objects", 1995). Rooms and things differ in the gates alone.
+objects", 1995). Rooms and things differ in the gates alone; descents differ in what they pair, not in their steps.
 """
 
 from typing import NamedTuple
@@ -11,9 +11,54 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Pose
-from calib.numerics import Floats, Ints, compiled
-from calib.registration.plane_step import add_pair, step_pose
+from calib.geometry import Pose, rotation_about
+from calib.numerics import Floats, Ints, compiled, inlined
+
+
+@inlined
+def add_pair(
+    matrix: Floats,
+    gradient: Floats,
+    arm: tuple[float, float, float],
+    normal: tuple[float, float, float],
+    off: float,
+    weight: float,
+) -> None:
+    """Add a pair to normal equations (6, 6), (6,) of a rotation about a centre, and a shift.
+
+    `arm`: from the centre to the point; `off`: its distance from the plane, along the `normal`.
+    """
+    u, v, w = arm
+    p, q, s = np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2])
+    row = v * s - w * q, w * p - u * s, u * q - v * p, p, q, s
+    for i in range(6):
+        for j in range(6):
+            matrix[i, j] += weight * row[i] * row[j]
+        gradient[i] += weight * off * row[i]
+
+
+@compiled
+def step_pose(
+    matrix: Floats, gradient: Floats, damping: float, centre: Floats, rotation: Floats, translation: Floats
+) -> float:
+    """Solve the normal equations, in place, and move a pose (3, 3), (3,), in place. Returns the largest number of the
+    twist about the centre (3,); 0 where nothing holds the pose.
+
+    `damping`: relative to the trace of rotations, and to that of shifts.
+    """
+    trace_turn = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
+    trace_shift = matrix[3, 3] + matrix[4, 4] + matrix[5, 5]
+    if not trace_turn * trace_shift > 0:
+        return 0.0
+    for i in range(3):
+        matrix[i, i] += damping * trace_turn
+        matrix[i + 3, i + 3] += damping * trace_shift
+    twist: Floats = -np.linalg.solve(matrix, gradient).astype(np.float64)
+    turn = rotation_about(twist[:3])
+    rotation[:] = turn @ rotation
+    translation[:] = turn @ (translation - centre) + centre + twist[3:]
+    return float(np.abs(twist).max())
+
 
 UNSEEN, HIDDEN, THROUGH_FREE_SPACE, OFF_SURFACE = -1, -2, -3, -4
 _TOWARDS_MIDDLE = 0.1  # share of a patch's weight by which a centre is drawn to a point behind the visible surface

@@ -11,10 +11,9 @@ from calib.geometry import IDENTITY, Plane, Pose
 from calib.registration.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
 from calib.registration.alignment import normal_equations
 from calib.registration.assembly import Assembly, Edges, assemble
+from calib.registration.group_evidence import ANOTHER_ROOM, shared_planes, worst_misfit
 from calib.registration.hypotheses import hypotheses, judged, refined
-from calib.registration.outlier_stations import ANOTHER_ROOM, worst_misfit
 from calib.registration.range_view import StationView, Surfaces, surfaces_of
-from calib.registration.shared_planes import shared_planes
 
 _MOST_ALTERNATIVES = 4
 _LEAST_OVERLAP = 0.01

@@ -15,10 +15,9 @@ from calib.deferred_imports import open3d
 from calib.geometry import Pose
 from calib.numerics import Bools, Floats, Ints, compiled
 from calib.registration.nearest_field import NearestField, descended, nearest_field, worths
-from calib.registration.plane_poses import poses_by_planes
-from calib.registration.pose_samples import distinct_poses, even_rotations
 from calib.registration.sampled_surface import SampledSurface
 from calib.registration.segments import Facets, grow_planes
+from calib.registration.starting_poses import distinct_poses, even_rotations, poses_by_planes
 
 _FEATURE_RADII, _FEATURE_NEIGHBOURS = (4.0, 8.0), 100  # cells
 _MATCHED, _MATCHES = 400, 3  # points of the second surface; matches of each

@@ -18,8 +18,19 @@ import numpy as np
 
 from calib.geometry import Pose
 from calib.numerics import Floats, Ints, biweight, robust_covariance, robust_sigma
-from calib.registration.surface_evidence import RIVAL_CELLS, SurfacePose, are_apart, holds, judge, surpasses, worth
-from calib.registration.surface_fit import FreeMotion, PairFit, free_motions, position_jacobian
+from calib.registration.surface_fit import (
+    RIVAL_CELLS,
+    FreeMotion,
+    PairFit,
+    SurfacePose,
+    are_apart,
+    free_motions,
+    holds,
+    judge,
+    position_jacobian,
+    surpasses,
+    worth,
+)
 from calib.registration.surface_hypotheses import surface_poses
 from calib.registration.surface_pair import (
     ACROSS,

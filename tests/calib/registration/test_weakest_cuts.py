@@ -8,9 +8,8 @@ from calib.registration import SOMETHING_MOVED
 from calib.registration.agreement import DECIDED_NATS
 from calib.registration.alignment import align_jointly
 from calib.registration.assembly import gain_of
-from calib.registration.outlier_stations import worst_misfit
+from calib.registration.group_evidence import firmly_connected, weakest_cut, worst_misfit
 from calib.registration.range_view import Surfaces, surfaces_of
-from calib.registration.weakest_cuts import firmly_connected, weakest_cut
 from calib.synthetic import moved_rig
 from tests.calib.registration.test_register import stations_in, view_of
 
