@@ -60,6 +60,7 @@ CONSOLE = OptionalPart("console")
 BATCH = OptionalPart("batch")
 E57 = OptionalPart("e57")
 LAS = OptionalPart("las")
+STEP = OptionalPart("step")
 VIDEO = OptionalPart("video")
 RIG = OptionalPart(
     "rig",
@@ -67,4 +68,4 @@ RIG = OptionalPart(
     target="rig",
 )
 GPHOTO2 = OptionalPart("gphoto2")
-PARTS = (CONSOLE, BATCH, E57, GPHOTO2, LAS, VIDEO, RIG)
+PARTS = (CONSOLE, BATCH, E57, GPHOTO2, LAS, STEP, VIDEO, RIG)

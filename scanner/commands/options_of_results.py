@@ -179,8 +179,8 @@ Two calibrations: differences are in projector pixels and as lengths, over the c
 best rigid alignment. Exit codes: 0 if they agree, or neither states a covariance; 1 if they differ by more than their
 standard deviations allow.
 
-Surfaces are compared if one of the two is a cloud or a mesh (PLY, PCD, XYZ, E57, LAS, LAZ; STL, OBJ, GLB, 3MF) or a
-network, or with --surfaces: the first is aligned with the second without a first guess, and the signed deviation of
+Surfaces are compared if one of the two is a cloud or a mesh (PLY, PCD, XYZ, E57, LAS, LAZ; STL, OBJ, GLB, 3MF, STEP)
+or a network, or with --surfaces: the first is aligned with the second without a first guess, and the signed deviation of
 every point is told with its sigma. Exit codes: 0, or 1 if a part is surely beyond the --tolerance; 4 if the alignment
 is ambiguous or there is none, or if the tolerance is not decidable with this scan.
 """

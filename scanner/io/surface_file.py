@@ -1,11 +1,12 @@
-"""Clouds and meshes of any program: PLY, PCD, XYZ, PTS, E57, LAS, LAZ; STL, OBJ, OFF, GLB, 3MF.
+"""Clouds, meshes and CAD models of any program: PLY, PCD, XYZ, PTS, E57, LAS, LAZ; STL, OBJ, OFF, GLB, 3MF, STEP.
 
-Open3D reads most of them, pye57 and laspy (optional parts) theirs. What a file says of its unit is kept: E57, LAS and
-GLB are in metres by their specifications, 3MF names its unit, and files of this program have it in their headers.
-Points that are no finite numbers are left out.
+Open3D reads most of them; pye57, laspy and cascadio (optional parts) theirs. What a file says of its unit is kept: E57,
+LAS and GLB are in metres by their specifications, 3MF and STEP name their unit, and files of this program have it in
+their headers. Points that are no finite numbers are left out.
 """
 
 import re
+import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from calib.deferred_imports import open3d
 from calib.numerics import Bools, Floats, Ints
-from hw.optional_parts import E57, LAS
+from hw.optional_parts import E57, LAS, STEP
 from scanner.errors import InputError
 from scanner.io.free_memory import require_memory
 from scanner.io.given_file import megabytes, opened
@@ -39,7 +40,9 @@ _UNITS_OF_3MF = {
 }
 _CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 _MOST_MODEL_BYTES = 1_000_000_000
-_OTHER_CAD = (".step", ".stp", ".iges", ".igs", ".fcstd", ".sldprt", ".dwg", ".dxf")
+# Largest distance of a triangle from a curved face of STEP, and angle between neighbours.
+_OFF_FACE_MM, _BETWEEN_TRIANGLES = 0.005, 0.1
+_OTHER_CAD = (".iges", ".igs", ".fcstd", ".sldprt", ".dwg", ".dxf")
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +77,7 @@ def read_surface(path: Path) -> StoredSurface:
     kind = path.suffix.lower()
     if kind in _OTHER_CAD:
         raise InputError(
-            f"{path}: CAD files of this kind cannot be read: export it from the CAD program as STL, OBJ or 3MF"
+            f"{path}: CAD files of this kind cannot be read: export it from the CAD program as STEP or STL"
         )
     if kind not in READERS:
         raise InputError(
@@ -85,7 +88,7 @@ def read_surface(path: Path) -> StoredSurface:
         size = file.seek(0, 2)
     if not size:
         raise InputError(f"{path}: is empty: expected a cloud or a mesh")
-    growth = _PACKED if kind in (".laz", ".3mf", ".e57") else _GROWTH
+    growth = _PACKED if kind in (".laz", ".3mf", ".e57", ".step", ".stp") else _GROWTH
     require_memory(
         growth * size, f"the {megabytes(size)} of {path}", "thin the cloud out before, or save it as binary PLY"
     )
@@ -154,11 +157,26 @@ def _ply(path: Path, start: bytes) -> StoredSurface:
 
 def _mesh(path: Path, start: bytes) -> StoredSurface:
     mesh = _open3d().io.read_triangle_mesh(str(path))
+    return _triangles_of(path, mesh, "m" if path.suffix.lower() in (".glb", ".gltf") else _stated_unit(start))
+
+
+def _step(path: Path, _start: bytes) -> StoredSurface:
+    """The faces of all parts at their places, as triangles."""
+    with STEP.needed("STEP", "cascadio", InputError):
+        import cascadio
+    with tempfile.TemporaryDirectory() as folder:
+        model = Path(folder) / "model.obj"  # in which parts are at their places, in millimetres
+        if cascadio.step_to_obj(str(path), str(model), _OFF_FACE_MM, _BETWEEN_TRIANGLES, use_colors=False):
+            raise InputError(f"{path}: expected a model as STEP, found a damaged file, or one without a shape")
+        return _triangles_of(path, _open3d().io.read_triangle_mesh(str(model)), "mm")
+
+
+def _triangles_of(path: Path, mesh: Any, unit: str | None) -> StoredSurface:
     mesh.remove_duplicated_vertices()
     points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
     if not len(triangles):
         raise InputError(f"{path}: holds no triangle, or is damaged")
-    return _triangles(path, points, triangles, "m" if path.suffix.lower() in (".glb", ".gltf") else _stated_unit(start))
+    return _triangles(path, points, triangles, unit)
 
 
 def _triangles(path: Path, points: Floats, triangles: Ints, unit: str | None) -> StoredSurface:
@@ -241,6 +259,7 @@ READERS: dict[str, Callable[[Path, bytes], StoredSurface]] = {
     **dict.fromkeys((".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts"), _cloud),
     **dict.fromkeys((".stl", ".obj", ".off", ".glb", ".gltf"), _mesh),
     ".3mf": _3mf,
+    **dict.fromkeys((".step", ".stp"), _step),
     ".e57": _e57,
     **dict.fromkeys((".las", ".laz"), _las),
 }

@@ -77,6 +77,7 @@ WITH_EXTRA = {
     "console": (("view", "nothing"), 2, "nothing"),
     "e57": (("export", "one", "--to", "e57"), 0, "→ "),
     "las": (("export", "one", "--to", "las"), 0, "→ "),
+    "step": (("compare", "one", "part.step"), 2, "found a damaged file"),
     "video": (("patterns", "--config", "room.yaml", "--out", "film", "--video", "film.mp4"), 0, "film.mp4"),
     "rig": (("devices",), None, ""),
 }
@@ -108,6 +109,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     folder = tmp_path_factory.mktemp("elsewhere")
     (folder / "room.yaml").write_text(CONFIG)
     (folder / "driver.py").write_text(DRIVER)
+    (folder / "part.step").write_text("ISO-10303-21;\n")
     return Installed(built(tmp_path_factory.mktemp("wheel")), folder)
 
 

@@ -139,7 +139,7 @@ def test_a_result_is_compared_with_its_own_mesh(tmp_path: Path, capsys: pytest.C
         (("sound.ply", "cad.stl", "--depths", "1m"), "--depths is for calibrations"),
         (("sound.ply", "none.stl"), "no such file"),
         (("few.xyz", "cad.stl"), "cannot be aligned"),
-        (("sound.ply", "part.step"), "export it from the CAD program"),
+        (("sound.ply", "part.iges"), "export it from the CAD program"),
         (("sound.ply", "cad.stl", "--unit", "m", "--tolerance", "x"), "--tolerance: expected a length"),
     ],
 )
@@ -152,7 +152,7 @@ def test_what_cannot_be_compared_is_refused(
 ) -> None:
     monkeypatch.chdir(folder)
     Path("few.xyz").write_text("0 0 0\n90 0 0\n0 60 0\n0 0 50\n")
-    Path("part.step").write_text("ISO-10303-21;\n")
+    Path("part.iges").write_text("S\n")
     assert run("compare", *arguments) == 2
     assert told in " ".join(capsys.readouterr().err.split())
 

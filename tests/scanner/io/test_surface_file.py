@@ -1,5 +1,6 @@
 """Clouds and meshes of any program are read, or refused by name."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from scanner.exporting import FORMATS, ExportRequest
 from scanner.io import is_surface_file, read_surface
 from tests.support.blob import Blob
 from tests.support.result_folder import Written, write_result
+from tests.support.step_file import step_of_box
 
 CLOUDS = {"ply": "a.ply", "pcd": "a.pcd", "e57": "a.e57", "las": "a.las"}
 MESHES = {"mesh": "m.obj", "stl": "m.stl", "3mf": "m.3mf"}
@@ -76,7 +78,7 @@ def test_large_clouds_are_thinned_out(tmp_path: Path, monkeypatch: pytest.Monkey
         ("a.3mf", b"PK\x03\x04 not a zip", "damaged"),
         ("a.las", b"LASF" + bytes(400), "damaged"),
         ("a.e57", b"ASTM-E57" + bytes(400), "damaged"),
-        ("a.step", b"ISO-10303-21;", "export it from the CAD program"),
+        ("a.iges", b"x", "export it from the CAD program"),
         ("a.docx", b"x", "expected a cloud or a mesh"),
     ],
 )
@@ -93,6 +95,35 @@ def test_a_mesh_of_triangles_without_area_is_refused(tmp_path: Path) -> None:
     o3d.io.write_triangle_mesh(str(tmp_path / "a.obj"), mesh)
     with pytest.raises(InputError, match="no triangle that has an area"):
         read_surface(tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize("in_metres", [False, True])
+def test_step_files_are_read_in_millimetres(in_metres: bool, tmp_path: Path) -> None:
+    pytest.importorskip("cascadio", reason="cascadio is not installed")
+    size, corner = np.array([100.0, 60.0, 30.0]), np.array([10.0, 20.0, 30.0])
+    unit = 1e-3 if in_metres else 1.0
+    (tmp_path / "box.stp").write_text(step_of_box(unit * size, unit * corner, in_metres=in_metres))
+    read = read_surface(tmp_path / "box.stp")
+    assert read.unit == "mm"
+    assert read.triangles is not None
+    assert len(read.triangles) == 12
+    assert np.allclose([read.points.min(axis=0), read.points.max(axis=0)], [corner, corner + size])
+
+
+def test_damaged_step_files_are_refused(tmp_path: Path) -> None:
+    pytest.importorskip("cascadio", reason="cascadio is not installed")
+    whole = step_of_box((1, 1, 1), (0, 0, 0))
+    for content in ("ISO-10303-21;", whole[: len(whole) // 2], whole[:200] + "ENDSEC;\nEND-ISO-10303-21;\n"):
+        (tmp_path / "a.step").write_text(content)
+        with pytest.raises(InputError, match="damaged file"):
+            read_surface(tmp_path / "a.step")
+
+
+def test_step_without_cascadio_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cascadio", None)
+    (tmp_path / "a.step").write_text(step_of_box((1, 1, 1), (0, 0, 0)))
+    with pytest.raises(InputError, match=r"\[step\]"):
+        read_surface(tmp_path / "a.step")
 
 
 def test_files_are_known_by_their_endings() -> None:
