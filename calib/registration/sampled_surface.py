@@ -21,6 +21,7 @@ _NOISE_SAMPLE = 3000  # points
 _LOCAL_SAMPLE, _LOCAL = 12_000, 24  # points where noise is measured, and neighbouring ones whose median it is
 _OF_NOISE = 8  # neighbours of the planes that noise is measured by: with more, curvature would be noise
 _MEDIAN_SQUARE = 0.870  # median of χ² over its five degrees of freedom
+_OF_BENT, _MEDIAN_SQUARE_BENT = 12, 0.891  # the same of curved surfaces, with six degrees of freedom
 _LEAST_NORMAL = 0.5  # length of a mean normal: shorter where two sides of something thin share a cell
 _MOST_OPPOSED = 0.05  # share of neighbours with opposed normals, beyond which the signs of given normals are not used
 _CREASE, _MOST_CREASES = (
@@ -200,18 +201,19 @@ def measured_noise(points: Floats) -> float:
 
 
 def local_noise(points: Floats, places: Floats) -> Floats:
-    """Standard deviations (M,) of points (N, 3) from planes through their neighbours, around places (M, 3).
+    """Standard deviations (M,) of points (N, 3) from curved surfaces through their neighbours, around places (M, 3).
 
     Noise grows with the distance from the scanner and with the slant: one number for a cloud would be too small far
-    away.
+    away. Where a surface bends away from the scanner, its points are far apart, and planes through them would add half
+    as much again.
     """
-    if len(points) < 2 * _NEIGHBOURS:
+    if len(points) < 2 * _OF_BENT:
         return np.zeros(len(places))
     some = evenly_spread(points, _LOCAL_SAMPLE)
-    squares = _from_planes(points, some)
+    squares = _from_quadrics(points, some)
     tree = scipy.spatial.cKDTree(some)
     around = np.asarray(tree.query(some, min(_LOCAL, len(some)))[1])
-    typical = np.median(squares[around], axis=1) / _MEDIAN_SQUARE
+    typical = np.median(squares[around], axis=1) / _MEDIAN_SQUARE_BENT
     noise: Floats = np.sqrt(typical)[np.asarray(tree.query(places)[1])]
     return noise
 
@@ -222,6 +224,20 @@ def _from_planes(points: Floats, some: Floats) -> Floats:
     around = points[index] - points[index].mean(axis=1, keepdims=True)
     squares: Floats = np.linalg.eigvalsh(np.matmul(around.transpose(0, 2, 1), around))[:, 0]
     return np.maximum(squares, 0.0) / (_OF_NOISE - 3)
+
+
+def _from_quadrics(points: Floats, some: Floats) -> Floats:
+    """The same from surfaces of the second degree."""
+    _, index = scipy.spatial.cKDTree(points, balanced_tree=False, compact_nodes=False).query(some, _OF_BENT)
+    around = points[index] - points[index].mean(axis=1, keepdims=True)
+    axes = np.linalg.eigh(np.matmul(around.transpose(0, 2, 1), around))[1]
+    height, u, v = np.moveaxis(around @ axes, 2, 0)
+    size = np.sqrt(np.mean(u**2 + v**2, axis=1, keepdims=True)) + 1e-300
+    u, v = u / size, v / size
+    basis = np.linalg.qr(np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=2))[0]
+    fitted = np.einsum("nki,nli,nl->nk", basis, basis, height)
+    squares: Floats = np.sum((height - fitted) ** 2, axis=1) / (_OF_BENT - 6)
+    return squares
 
 
 def _require(means: Floats, points: Floats, cell: float) -> None:
