@@ -45,8 +45,9 @@ def main() -> None:
         found += bool(near)
         false += others + alone
         off, sigma = (near[0].peak + args.dent, near[0].sigma) if near else (np.nan, np.nan)
-        there = sound.there
-        z = robust_sigma(sound.distance[there] / sound.sigma[there])
+        assert sound.measured is not None
+        there = sound.measured.there
+        z = robust_sigma(sound.compared / sound.measured.sigma[there])
         print(
             f"{seed:5}  {bool(near)!s:5}  {off:17.3f}  {sigma:9.3f}  {others:13}  {alone:12}  {z:4.2f}  {seconds:7.1f}"
         )

@@ -1,5 +1,7 @@
 """Compare two calibrations of one rig, or a surface with its reference: where they differ, and by how many sigmas."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from scanner.commands.options_of_results import CompareCommand
@@ -8,12 +10,15 @@ from scanner.comparing import (
     COMPARE_FILE,
     COMPARE_PAGE,
     MESH_FILE,
+    REFERENCE_CLOUD_FILE,
+    REFERENCE_MESH_FILE,
     Conformity,
     SurfaceComparison,
     compare_files,
     compare_surfaces,
     comparison_verdict,
     deviation_mesh,
+    reference_mesh,
     region_table,
     surface_verdict,
     table,
@@ -21,6 +26,7 @@ from scanner.comparing import (
     write_compare_page,
     write_deviation_cloud,
     write_deviation_mesh,
+    write_reference_cloud,
     write_surface_document,
     write_surface_page,
 )
@@ -76,7 +82,7 @@ def _compare_surfaces(args: CompareCommand, terminal: Terminal) -> int:
     if args.depths is not None:
         raise InputError("--depths is for calibrations, and these are surfaces")
     if args.out:
-        for name in (COMPARE_FILE, COMPARE_PAGE, CLOUD_FILE, MESH_FILE):
+        for name in (COMPARE_FILE, COMPARE_PAGE, CLOUD_FILE, MESH_FILE, REFERENCE_CLOUD_FILE, REFERENCE_MESH_FILE):
             refuse_existing(args.out / name, overwrite=args.overwrite)
     with terminal.step("Comparing"):
         comparison = compare_surfaces(
@@ -97,19 +103,20 @@ def _compare_surfaces(args: CompareCommand, terminal: Terminal) -> int:
 
 def _write(args: CompareCommand, comparison: SurfaceComparison, terminal: Terminal) -> None:
     assert args.out is not None
-    mesh = deviation_mesh(comparison, args.first) if comparison.is_aligned else None
-    names = [COMPARE_FILE, COMPARE_PAGE]
-    names += [CLOUD_FILE] if comparison.is_aligned else []
-    names += [MESH_FILE] if mesh is not None else []
-    with new_files(args.out, names, overwrite=args.overwrite) as (document, page, *more):
-        write_surface_document(document, comparison)
-        write_surface_page(page, comparison)
-        if comparison.is_aligned:
-            write_deviation_cloud(more[0], comparison)
-        if mesh is not None:
-            write_deviation_mesh(more[1], mesh)
+    writers: dict[str, Callable[[Path], None]] = {
+        COMPARE_FILE: partial(write_surface_document, comparison=comparison),
+        COMPARE_PAGE: partial(write_surface_page, comparison=comparison),
+    }
+    if comparison.is_aligned:
+        writers[CLOUD_FILE] = partial(write_deviation_cloud, comparison=comparison)
+        writers[REFERENCE_CLOUD_FILE] = partial(write_reference_cloud, comparison=comparison)
+        meshes = {MESH_FILE: deviation_mesh(comparison, args.first), REFERENCE_MESH_FILE: reference_mesh(comparison)}
+        writers |= {name: partial(write_deviation_mesh, mesh=mesh) for name, mesh in meshes.items() if mesh is not None}
+    with new_files(args.out, list(writers), overwrite=args.overwrite) as paths:
+        for write, path in zip(writers.values(), paths, strict=True):
+            write(path)
     terminal.show(
-        f"Written: {args.out} ({', '.join(names)})",
+        f"Written: {args.out} ({', '.join(writers)})",
         f"→ Open {args.out / COMPARE_PAGE} in a browser: where the surface deviates.",
     )
 

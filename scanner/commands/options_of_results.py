@@ -180,9 +180,9 @@ best rigid alignment. Exit codes: 0 if they agree, or neither states a covarianc
 standard deviations allow.
 
 Surfaces are compared if one of the two is a cloud or a mesh (PLY, PCD, XYZ, E57, LAS, LAZ; STL, OBJ, GLB, 3MF, STEP)
-or a network, or with --surfaces: the first is aligned with the second without a first guess, and the signed deviation of
-every point is told with its sigma. Exit codes: 0, or 1 if a part is surely beyond the --tolerance; 4 if the alignment
-is ambiguous or there is none, or if the tolerance is not decidable with this scan.
+or a network, or with --surfaces: the first is aligned with the second without a first guess, and the signed deviation
+of every point is told with its sigma. Exit codes: 0, or 1 if a part is surely beyond the --tolerance; 4 if the
+alignment is ambiguous or there is none, or if the tolerance is not decidable with this scan.
 """
     first: Path = argument("RESULT", "folder of a result, calibration.yaml, or a cloud or mesh", existing=NO_FILE)
     second: Path = argument("REFERENCE", "the same, to compare with", existing=NO_FILE)
@@ -196,7 +196,9 @@ is ambiguous or there is none, or if the tolerance is not decidable with this sc
         "of calibrations: depths to compare at, as in 1m,2m,3m (default: of RESULT's scene, or where both axes meet)",
         "D1,D2,…",
     )
-    out: Path | None = option("folder for compare.html, compare.json, and of surfaces deviation.ply and .glb", "DIR")
+    out: Path | None = option(
+        "folder for compare.html, compare.json, and of surfaces both as coloured clouds and meshes", "DIR"
+    )
     allow: bool = switch("exit code 0 even if they differ")
     overwrite: bool = switch("replace an earlier comparison there")
     quiet: bool = switch(_QUIET)

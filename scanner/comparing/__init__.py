@@ -23,9 +23,13 @@ from scanner.comparing.surface_comparison import Conformity, SurfaceComparison, 
 from scanner.comparing.surface_files import (
     CLOUD_FILE,
     MESH_FILE,
+    REFERENCE_CLOUD_FILE,
+    REFERENCE_MESH_FILE,
     deviation_mesh,
+    reference_mesh,
     write_deviation_cloud,
     write_deviation_mesh,
+    write_reference_cloud,
     write_surface_document,
     write_surface_page,
 )

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from calib.numerics import Bools, Floats, Ints, evenly_spread
 from calib.registration import (
@@ -25,6 +26,7 @@ from scanner.comparing.surfaces import ComparedSurface, nearest_values
 _CELLS, _SPACINGS, _REFERENCE_SPACINGS = 160.0, 3.0, 2.0
 _REACH_TOLERANCES, _REACH_TOLERANCE = 20.0, 3.0  # of the alignment; of the one that was given
 _SIDES = 6
+_BESIDE = 1.5  # cells, up to which a point of the reference is near a cell that was compared
 _SAMPLE, _OUTSIDE = 20_000, 0.01  # points that tell the extent; share of them outside of it at either end
 
 
@@ -53,6 +55,21 @@ class PointDeviations:
     def there(self) -> Bools:
         """Which points have a counterpart, (N,)."""
         return np.isfinite(self.distance)
+
+    def on_reference(self, points: Floats) -> tuple[Floats, Floats]:
+        """Mean deviations of what is nearest to points (N, 3) of the reference, and their sigmas, (N,); NaN where
+        nothing was compared.
+        """
+        cells = self.cells
+        compared = np.flatnonzero(np.isfinite(cells.distance))
+        if not len(compared):
+            return np.full(len(points), np.nan), np.full(len(points), np.nan)
+        distance, sigma = cells.distance[compared], cells.sigma[compared]
+        feet = cells.points[compared] - distance[:, None] * cells.normals[compared]
+        apart, nearest = cKDTree(feet).query(points, distance_upper_bound=_BESIDE * cells.cell)
+        near = np.isfinite(apart)
+        nearest = np.where(near, nearest, 0)
+        return np.where(near, distance[nearest], np.nan), np.where(near, sigma[nearest], np.nan)
 
 
 def measure_deviations(

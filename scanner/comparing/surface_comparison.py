@@ -1,13 +1,13 @@
 """A result on a reference: aligned without a first guess, then the signed deviation of each point with its sigma."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Floats, Ints
 from calib.registration import (
     Alignment,
     CellDeviations,
@@ -72,16 +72,9 @@ class SurfaceComparison:
     found_unit: str | None
     """Of the file whose unit was found, as a sentence; None if none was."""
     registration: SurfaceRegistration
-    points: Floats
-    """(N, 3): the result's points where the alignment puts them; none without one."""
-    normals: Floats
-    """(N, 3)"""
-    distance: Floats
-    """(N,): signed deviations, NaN where the reference has no surface."""
-    sigma: Floats
-    """(N,): their standard deviations."""
-    cells: CellDeviations | None
-    regions: tuple[Region, ...]
+    measured: PointDeviations | None
+    """The result where the alignment puts it, with its deviations; None without an alignment."""
+    reference: ComparedSurface
     changes: tuple[Change, ...] | None
     """Of a later scan, the result, against an earlier one, the reference; None where it is not known from where either
     was taken."""
@@ -96,9 +89,21 @@ class SurfaceComparison:
         return self.registration.alignment is Alignment.UNIQUE
 
     @property
-    def there(self) -> Bools:
-        """Which points have a counterpart, (N,)."""
-        return np.isfinite(self.distance)
+    def distance(self) -> Floats:
+        """Signed deviations of the result's points, NaN where the reference has no surface, (N,); none without an
+        alignment.
+        """
+        return np.zeros(0) if self.measured is None else self.measured.distance
+
+    @property
+    def compared(self) -> Floats:
+        """Those of points that have a counterpart."""
+        return self.distance[np.isfinite(self.distance)]
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """That deviate by more than chance allows."""
+        return () if self.measured is None else self.measured.regions
 
 
 def compare_surfaces(
@@ -130,43 +135,16 @@ def compare_surfaces(
     limit = None if tolerance is None else _tolerance(tolerance, working)
     notes = (*second.notes, *first.notes)
     names = (second.name, first.name)
-    if found.alignment is not Alignment.UNIQUE or found.best is None:
-        nothing = np.zeros((0, 3))
-        return SurfaceComparison(
-            names,
-            working,
-            sentence,
-            found,
-            nothing,
-            nothing,
-            nothing[:, 0],
-            nothing[:, 0],
-            None,
-            (),
-            None,
-            None,
-            False,
-            notes,
-        )
+    unaligned = SurfaceComparison(names, working, sentence, found, None, first, None, None, False, notes)
+    if found.alignment is not Alignment.UNIQUE:
+        return unaligned
     measured = measure_deviations(first, one, second, other, found, limit)
-    cells = measured.cells
-    changes = _changes(first, one, second, measured)
-    test = None if limit is None else _test(cells, limit, float(np.mean(~measured.there)))
-    return SurfaceComparison(
-        names,
-        working,
-        sentence,
-        measured.registration,
-        measured.points,
-        measured.normals,
-        measured.distance,
-        measured.sigma,
-        cells,
-        measured.regions,
-        None if changes is None else tuple(changes),
-        test,
-        second.effects is not None,
-        notes,
+    return replace(
+        unaligned,
+        measured=measured,
+        changes=_changes(first, one, second, measured),
+        test=None if limit is None else _test(measured.cells, limit, float(np.mean(~measured.there))),
+        knows_calibration=second.effects is not None,
     )
 
 
@@ -233,7 +211,7 @@ def _unit_of(
 
 def _changes(
     first: ComparedSurface, one: SurfacePoints, second: ComparedSurface, measured: PointDeviations
-) -> list[Change] | None:
+) -> tuple[Change, ...] | None:
     """What is new, gone or has moved, where both scanners' places are known."""
     found = measured.registration
     if not (first.views and second.views) or found.best is None:
@@ -245,7 +223,7 @@ def _changes(
     now = sample_surface(measured.points, measured.normals, cells.cell, found.residual)
     unmatched = ~from_samples(former.points, former.normals, now, np.zeros(len(now)), measured.reach).there
     gone, by = former.points[unmatched], _FREE_TOLERANCES * found.tolerance
-    return find_changes(cells, measured.regions, earlier, gone, later, by)
+    return tuple(find_changes(cells, measured.regions, earlier, gone, later, by))
 
 
 def _test(cells: CellDeviations, tolerance: float, unmeasured: float) -> ToleranceTest:

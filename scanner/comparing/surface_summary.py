@@ -101,7 +101,7 @@ def _reasons(comparison: SurfaceComparison) -> Iterator[str]:
         f"Aligned on {100 * overlap[1]:.0f} % of {comparison.names[0]} and {100 * overlap[0]:.0f} % of "
         f"{comparison.names[1]}, to ± {unit.error(shift)} and ± {plain(turn_deg, 4)}°."
     )
-    distance = comparison.distance[comparison.there]
+    distance = comparison.compared
     if len(distance):
         low, middle, high = np.quantile(distance, (0.05, 0.5, 0.95))
         shown = partial(unit.number, signed=True, beside=float(high - low))
@@ -123,10 +123,10 @@ def _reasons(comparison: SurfaceComparison) -> Iterator[str]:
     for change in (comparison.changes or ())[:_MOST_REGIONS]:
         if change.new or change.gone:
             yield f"Changed: {change_text(change, unit)}."
-    if comparison.cells is not None and comparison.cells.inflation > 1.3:
+    inflation = 1.0 if comparison.measured is None else comparison.measured.cells.inflation
+    if inflation > 1.3:
         yield (
-            f"Deviations scatter {comparison.cells.inflation:.1f} times as much as the noise explains, so sigmas were "
-            "enlarged to that."
+            f"Deviations scatter {inflation:.1f} times as much as the noise explains, so sigmas were enlarged to that."
         )
     if not comparison.knows_calibration:
         yield f"What the calibration of {comparison.names[0]} adds is not in the sigmas: it is not known."
@@ -182,7 +182,7 @@ def region_headings(comparison: SurfaceComparison) -> tuple[str, ...]:
 def quantile_rows(comparison: SurfaceComparison) -> list[tuple[str, str]]:
     """Share of the points, and the deviation that so many do not exceed."""
     unit = shown_unit(comparison.unit)
-    distance = comparison.distance[comparison.there]
+    distance = comparison.compared
     if not len(distance):
         return []
     values = np.quantile(distance, QUANTILES)

@@ -10,7 +10,7 @@ from calib.geometry import Matches
 from calib.numerics import Floats, Ints
 from scanner.quantities import FACE_NAMES, ShownUnit, plain, shown_unit
 from scanner.rendering import CIVIDIS, FACE_COLOURS, GREY, SIGNED, VIRIDIS, Pixels, shaded
-from scanner.viewing.result import CaptureCloud, CloudWithSigma, ViewedCloud
+from scanner.viewing.result import CaptureCloud, CloudWithSigma, DeviationCloud, ViewedCloud
 
 _FACE_WORDS = ("orange", "sky blue", "green")
 _SHOWN_SHARE = (0.01, 0.99)
@@ -26,6 +26,10 @@ _DEVIATION = (
     "Distance of each point from the plane through its face, + towards the camera; grey: on no face. The "
     "flatness below summarises it."
 )
+_FROM_REFERENCE = (
+    "Distance of each point from the reference, + outside of it; grey: the reference has no surface there. The report, "
+    "compare.html, has sigmas and regions."
+)
 
 
 class Colouring(StrEnum):
@@ -36,6 +40,7 @@ class Colouring(StrEnum):
     DEPTH = "Depth"
     DEVIATION = "Distance from the faces"
     SIGMA = "Uncertainty of depth"
+    REFERENCE = "Distance from the reference"
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,8 @@ class Coloured:
 
 def possible_colourings(cloud: ViewedCloud) -> tuple[Colouring, ...]:
     """Return the colourings for which every point of a cloud has a value."""
+    if isinstance(cloud, DeviationCloud):
+        return (Colouring.REFERENCE,)
     known = [Colouring.CAMERA]
     if isinstance(cloud, CaptureCloud):
         known += [Colouring.FACES] if cloud.matches.face is not None else []
@@ -78,7 +85,9 @@ def coloured(cloud: ViewedCloud, chosen: NDArray[np.int64], colouring: Colouring
         case CaptureCloud(), Colouring.DEPTH:
             return _by_size(cloud.points[chosen, 2], VIRIDIS, shown_unit(cloud.unit), "Distance before the camera.")
         case CaptureCloud(matches=Matches(face=face)), Colouring.DEVIATION if face is not None:
-            return _by_deviation(cloud.from_faces(chosen), shown_unit(cloud.unit))
+            return _by_deviation(cloud.from_faces(chosen), shown_unit(cloud.unit), _DEVIATION)
+        case DeviationCloud(deviation=deviation), Colouring.REFERENCE:
+            return _by_deviation(deviation[chosen], shown_unit(cloud.unit), _FROM_REFERENCE, cloud.tolerance)
         case CloudWithSigma(sigma=sigma), Colouring.SIGMA:
             return _by_size(sigma[chosen], CIVIDIS, shown_unit(cloud.unit), f"Standard deviation. {_NOISE_ALONE}")
         case CaptureCloud(has_sigma=True), Colouring.SIGMA:
@@ -111,12 +120,13 @@ def _by_size(values: Floats, shades: Pixels, unit: ShownUnit, legend: str) -> Co
     return Coloured(shaded(share, shades), legend, bar)
 
 
-def _by_deviation(off: Floats, unit: ShownUnit) -> Coloured:
+def _by_deviation(off: Floats, unit: ShownUnit, legend: str, limit: float | None = None) -> Coloured:
     known = np.isfinite(off)
-    limit = float(np.quantile(np.abs(off[known]), _SHOWN_SHARE[1])) if known.any() else 1.0
+    if limit is None:
+        limit = float(np.quantile(np.abs(off[known]), _SHOWN_SHARE[1])) if known.any() else 1.0
     share = np.clip((np.where(known, off, 0.0) / max(limit, np.finfo(np.float64).tiny) + 1) / 2, 0, 1)
     colours = shaded(share, SIGNED)
     colours[~known] = GREY
     ends = (unit.error(end, signed=True) for end in (-limit, limit))
     bar = ColourBar(SIGNED, next(ends), f"{plain(0.0, 0)} {unit.name}", next(ends))
-    return Coloured(colours, _DEVIATION, bar)
+    return Coloured(colours, legend, bar)

@@ -7,6 +7,7 @@ from typing import Any
 
 import viser
 
+from scanner.comparing import CLOUD_FILE, COMPARE_PAGE, MESH_FILE, REFERENCE_CLOUD_FILE, REFERENCE_MESH_FILE
 from scanner.exporting import FORMATS, ExportRequest
 from scanner.io import read_whole
 from scanner.results import (
@@ -22,7 +23,8 @@ from scanner.viewing.texts import link_html
 from scanner.viewing.view_controls import failures_shown
 
 _SURFACES = tuple(name for kind in KINDS for name in (kind.cloud, kind.mesh) if name)
-_FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, NETWORK_FILE, *_SURFACES, REFUSAL_FILE)
+_COMPARED = (COMPARE_PAGE, CLOUD_FILE, MESH_FILE, REFERENCE_CLOUD_FILE, REFERENCE_MESH_FILE)
+_FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, NETWORK_FILE, *_SURFACES, REFUSAL_FILE, *_COMPARED)
 
 
 def add_files(gui: viser.GuiApi, folder: Path, link: Callable[[Path], str]) -> None:

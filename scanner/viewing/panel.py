@@ -14,6 +14,7 @@ from scanner.viewing.clicking import Clicking, SetScale
 from scanner.viewing.colouring import Colouring
 from scanner.viewing.crop import Box, whole
 from scanner.viewing.decimation import statement
+from scanner.viewing.deviations import deviation_cloud, is_comparison
 from scanner.viewing.files import add_files
 from scanner.viewing.keeping import Keeping
 from scanner.viewing.network import network_cloud
@@ -92,12 +93,12 @@ class ResultPanel:
             self._scene.show(some)
             self._scene.draw_points(1.0, Colouring.CAMERA, whole(some))
 
-    def open_verdict(self, folder: Path, cloud: ViewedCloud | None = None) -> None:
-        """Show why a capture was refused, or a network with its cloud, in place of the last result.
+    def open_verdict(self, folder: Path, cloud: ViewedCloud | None = None, verdict: Verdict | None = None) -> None:
+        """Show why a capture was refused, or a network or a comparison with its cloud, in place of the last result.
 
-        Raises InputError.
+        `verdict`: by default that of the folder's files. Raises InputError.
         """
-        verdict = verdict_of(folder)
+        verdict = verdict or verdict_of(folder)
         with self._lock, self._place:
             self._remove()
             self._scene.clear()
@@ -172,6 +173,9 @@ def reading(folder: Path) -> Show:
     if kind_of(folder) is NETWORK:
         cloud = network_cloud(folder)
         return lambda panel: panel.open_verdict(folder, cloud)
+    if is_comparison(folder):
+        compared, verdict = deviation_cloud(folder)
+        return lambda panel: panel.open_verdict(folder, compared, verdict)
     result = ViewedResult(folder)
     result.cloud(result.names[0])
     return lambda panel: panel.open(result)

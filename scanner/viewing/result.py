@@ -106,6 +106,16 @@ class CloudWithSigma(ViewedCloud):
 
 
 @dataclass(frozen=True, eq=False)
+class DeviationCloud(ViewedCloud):
+    """Points that were compared with a reference."""
+
+    deviation: Floats = field(kw_only=True)
+    """(N,): signed distance of each point from the reference, NaN where that has no surface."""
+    tolerance: float | None = field(default=None, kw_only=True)
+    """That the deviations were tested against."""
+
+
+@dataclass(frozen=True, eq=False)
 class CaptureCloud(ViewedCloud):
     """The cloud of one capture, with the scan that it is of, and what that has measured."""
 

@@ -32,10 +32,10 @@ class _Lines:
         return self.add(f"{kind}('',({','.join(f'{value:.12E}' for value in vector)}))")
 
 
-def step_of_box(size: Sequence[float], corner: Sequence[float], *, in_metres: bool = False) -> str:
+def step_of_box(size: Floats | Sequence[float], corner: Floats | Sequence[float], *, in_metres: bool = False) -> str:
     """A box of a size (3,) with its least corner (3,), in millimetres unless `in_metres`."""
     file = _Lines()
-    corners = np.array(list(product((0.0, 1.0), repeat=3))) * size + corner
+    corners = np.array(list(product((0.0, 1.0), repeat=3))) * np.asarray(size) + np.asarray(corner)
     points = [file.add_vector("CARTESIAN_POINT", place) for place in corners]
     faces = []
     for face in _FACES:

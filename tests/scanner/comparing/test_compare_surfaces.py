@@ -5,39 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from calib.deferred_imports import open3d
-from calib.numerics import Floats
 from scanner.comparing import Conformity, compare_surfaces
 from scanner.exporting import FORMATS, ExportRequest
 from scanner.io import read_surface
 from tests.support.blob import Blob
 from tests.support.command_line import names, run
 from tests.support.result_folder import write_result
+from tests.support.surface_files import write_cloud, write_mesh
 
 pytestmark = pytest.mark.xdist_group("comparing surfaces")  # what the module shares is made once
 DENT = 0.2
-
-
-def write_mesh(path: Path, body: Blob, factor: float = 1.0) -> Path:
-    o3d = open3d()
-    vertices, triangles = body.mesh(30_000)
-    mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(factor * vertices), o3d.utility.Vector3iVector(triangles.astype(np.int32))
-    )
-    o3d.io.write_triangle_mesh(str(path), mesh.compute_triangle_normals())
-    return path
-
-
-def write_cloud(path: Path, points: Floats, normals: Floats, factor: float = 1.0, seed: int = 0) -> Path:
-    """Somewhere else, as ASCII PLY without a unit."""
-    o3d, rng = open3d(), np.random.default_rng(seed)
-    turn, shift = Rotation.random(rng=rng).as_matrix(), rng.uniform(-300, 300, 3)
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(factor * (points @ turn.T + shift)))
-    cloud.normals = o3d.utility.Vector3dVector(normals @ turn.T)
-    o3d.io.write_point_cloud(str(path), cloud)
-    return path
+FILES = {"compare.json", "compare.html", "deviation.ply", "reference.ply"}
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +35,7 @@ def test_a_dent_is_found_and_measured(folder: Path, capsys: pytest.CaptureFixtur
     assert run("compare", folder / "dented.ply", folder / "cad.stl", *arguments) == 1
     told = " ".join(capsys.readouterr().out.split())
     assert "✕ Fail: a part of the surface is surely beyond" in told
-    assert names(folder / "out") == {"compare.json", "compare.html", "deviation.ply"}
+    assert names(folder / "out") == {*FILES, "reference.glb"}
     document = json.loads((folder / "out" / "compare.json").read_text(encoding="utf-8"))
     (region,) = document["regions"]
     assert region["deviation"] == pytest.approx(-DENT, abs=0.05)
@@ -67,6 +47,13 @@ def test_a_dent_is_found_and_measured(folder: Path, capsys: pytest.CaptureFixtur
     cloud = read_surface(folder / "out" / "deviation.ply")
     assert cloud.unit == "mm"
     assert len(cloud.points) == document["points"]
+    on_cad = open3d().t.io.read_point_cloud(str(folder / "out" / "reference.ply")).point
+    deviation, places = on_cad["deviation"].numpy()[:, 0], on_cad["positions"].numpy()
+    assert np.nanmin(deviation) == pytest.approx(-DENT, abs=0.05)
+    assert np.linalg.norm(places[np.nanargmin(deviation)] - top) < 3.0
+    assert 0.2 < np.isfinite(deviation).mean() < 0.8  # the other side was not scanned
+    mesh = open3d().io.read_triangle_mesh(str(folder / "out" / "reference.glb"))
+    assert mesh.has_vertex_colors()
     page = (folder / "out" / "compare.html").read_text(encoding="utf-8")
     assert page.count("<img") == 3
     assert 'section class="verdict refused"' in page
@@ -86,9 +73,10 @@ def test_a_sound_part_passes_and_has_no_region(folder: Path, capsys: pytest.Capt
 
 def test_the_sigma_of_a_point_is_what_it_is_off(folder: Path) -> None:
     comparison = compare_surfaces(folder / "sound.ply", folder / "cad.stl", unit="mm")
-    there = comparison.there
+    assert comparison.measured is not None
+    there = comparison.measured.there
     assert there.mean() > 0.99
-    assert 0.8 < np.std(comparison.distance[there] / comparison.sigma[there]) < 1.3
+    assert 0.8 < np.std(comparison.compared / comparison.measured.sigma[there]) < 1.3
     assert comparison.test is None
     assert not comparison.regions
 
@@ -124,7 +112,7 @@ def test_a_result_is_compared_with_its_own_mesh(tmp_path: Path, capsys: pytest.C
     FORMATS["stl"].write(ExportRequest(written.folder, tmp_path / "room.stl"))
     assert run("compare", written.folder, tmp_path / "room.stl", "--out", tmp_path / "out") == 0
     assert "✓ No region deviates" in capsys.readouterr().out
-    assert names(tmp_path / "out") == {"compare.json", "compare.html", "deviation.ply", "deviation.glb"}
+    assert names(tmp_path / "out") == {*FILES, "deviation.glb", "reference.glb"}
     assert run("compare", written.folder, written.folder, "--surfaces") == 0
     assert "✓ No region deviates" in capsys.readouterr().out
     assert run("compare", written.folder, written.folder) == 0
