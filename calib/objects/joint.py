@@ -17,11 +17,10 @@ import numpy as np
 from calib.estimation import ROBUST_SIGMAS, Term, add_up
 from calib.geometry import IDENTITY, PER_POSE, Pose
 from calib.numerics import Floats, Ints, huber_weights, robust_sigma
-from calib.objects.patch_overlap import overlapping_pixels
+from calib.objects.patch_overlap import NARROW, WIDE, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, ObjectView
 from calib.registration import adjust_places, couple_places, match_keypoints
 
-WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
 _STEPS = 4  # steps per round
 _FEWEST = 60  # patches per pair

@@ -1,14 +1,19 @@
-"""Where patches of one view meet another view at a supposed pose, and what that says for the pose and against it."""
+"""Where patches of one view meet another view at a pose: what that says for the pose and against it, and which pixels
+other views confirm once poses are known. The rest is background, or an error.
+"""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.geometry import Pose
-from calib.numerics import Ints
-from calib.objects.view import ObjectView
+from calib.numerics import Bools, Ints
+from calib.objects.view import ObjectView, without_small_pieces
 from calib.registration import OFF_SURFACE, THROUGH_FREE_SPACE, Gates, Patches, classify, match_keypoints
 
+WIDE, NARROW = 3.0, 0.6  # grains, within which surfaces coincide: of rough poses, and of good ones
 _LIKE = float(np.cos(np.radians(40.0)))
 _SIGMAS, _BENT = 4.0, 0.12  # the second in grains
 _FREE = 1.5  # grains: closer than this in front of a surface, the other camera would have seen it
@@ -71,3 +76,44 @@ def evidence(
         int(np.count_nonzero((both == THROUGH_FREE_SPACE) | (both == OFF_SURFACE))),
         int(np.count_nonzero(apart < _MARK_GRAINS * first.grain)),
     )
+
+
+_FEWEST = 4  # number of views from which a point must be seen by another view as well
+
+
+@dataclass(frozen=True, eq=False)
+class Confirmation:
+    """Of one view: `of_thing` (H, W), the pixels confirmed by others; `apart` (H, W), their mean distance in front of
+    the others' surfaces, in the points' unit, NaN where unknown.
+    """
+
+    of_thing: Bools
+    apart: NDArray[np.float32]
+
+
+def confirmed(views: Sequence[ObjectView], places: Sequence[Pose]) -> list[Confirmation]:
+    """For each view; `places`: X_common = R X_view + t."""
+    confirmations = []
+    for k, (view, place) in enumerate(zip(views, places, strict=True)):
+        there = np.isfinite(view.image.points[..., 2])
+        patches = Patches(*(values[there].astype(np.float64) for values in view.image[:2]))
+        met_by, through = np.zeros((2, len(patches.points)), np.int64)
+        total = np.zeros(len(patches.points))
+        for other, (seen_by, at) in enumerate(zip(views, places, strict=True)):
+            if other != k:
+                to_other = at.inverse() @ place
+                overlap = overlapping_pixels(patches, seen_by, to_other, NARROW * view.grain)
+                met = np.flatnonzero(overlap >= 0)
+                moved = to_other @ patches.points[met]
+                theirs, towards = (values.reshape(-1, 3)[overlap[met]] for values in seen_by.image[:2])
+                total[met] += np.sum(towards * (moved - theirs), axis=1)
+                met_by[met] += 1
+                through += overlap == THROUGH_FREE_SPACE
+        kept = there.copy()
+        kept[there] = (met_by >= through) & (met_by >= (1 if len(views) >= _FEWEST else 0))
+        of_thing = without_small_pieces(kept)
+        apart = np.full(there.shape, np.nan, np.float32)
+        with np.errstate(invalid="ignore"):
+            apart[there] = total / met_by
+        confirmations.append(Confirmation(of_thing, np.where(of_thing, apart, np.float32(np.nan))))
+    return confirmations

@@ -9,7 +9,8 @@ import numpy as np
 
 from calib.geometry import IDENTITY, Pose
 from calib.numerics import Bools, Floats
-from calib.objects.joint import WIDE, align
+from calib.objects.joint import align
+from calib.objects.patch_overlap import WIDE
 from calib.objects.view import ObjectView
 from calib.registration import Gates, descend, distinct_poses, even_rotations, voted_poses
 

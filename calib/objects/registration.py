@@ -14,8 +14,8 @@ import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import IDENTITY, Pose
-from calib.objects.joint import NARROW, align
-from calib.objects.patch_overlap import OverlapEvidence, evidence, tolerance
+from calib.objects.joint import align
+from calib.objects.patch_overlap import NARROW, OverlapEvidence, evidence, tolerance
 from calib.objects.pose_search import are_about_the_same, suggested_poses
 from calib.objects.view import PATCHES, ObjectView
 from calib.registration import NO_OVERLAP, NOTHING_SEEN, UnregisteredStation, grow_groups, supposed_places

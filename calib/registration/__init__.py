@@ -61,6 +61,7 @@ from calib.registration.register import (
 )
 from calib.registration.sampled_surface import (
     SampledSurface,
+    cell_numbers,
     extent_of,
     local_noise,
     measured_noise,

@@ -79,6 +79,13 @@ def gain(agreements: Sequence[Agreement], thinned: float = 1.0) -> Floats:
     return with_keypoints
 
 
+def nats_of_place(agreements: Sequence[Agreement], poses: Sequence[Pose]) -> float:
+    """Evidence in nats for the place of a station, or of a part of a group, at the poses (one by one) of its
+    `agreements` with the others.
+    """
+    return float(gain(agreements)[0]) - min(float(nats_of_tilt(pose)) for pose in poses) - NATS_OF_POSE
+
+
 def _nats_of_keypoints(count: Ints) -> Floats:
     return np.clip(_NATS_PER_KEYPOINT * (count - _MARKS_BY_CHANCE), 0.0, _MOST_NATS_OF_MARKS)
 

@@ -19,7 +19,7 @@ from calib.registration.agreement import (
     compare,
     compare_one,
     gain,
-    nats_of_tilt,
+    nats_of_place,
 )
 from calib.registration.alignment import align, align_jointly
 from calib.registration.group_evidence import firmly_connected
@@ -142,8 +142,7 @@ def gain_of(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], k: int
     """Evidence in nats for a station at a pose relative to others."""
     poses = [at.inverse() @ place for at in places.values()]
     agreements = [compare_one(surfaces[member], surfaces[k], pose) for member, pose in zip(places, poses, strict=True)]
-    tilt = min(float(nats_of_tilt(pose)) for pose in poses)
-    return float(gain(agreements)[0]) - tilt - NATS_OF_POSE
+    return nats_of_place(agreements, poses)
 
 
 def _coarsely(surfaces: Mapping[int, Surfaces], group: Assembly, k: int, place: Pose) -> float:

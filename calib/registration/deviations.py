@@ -180,11 +180,7 @@ def groups(points: Floats, chosen: Bools, cell: float) -> list[Ints]:
     pairs = scipy.spatial.cKDTree(points[numbers]).query_pairs(_AROUND * cell, output_type="ndarray")
     shape = (len(numbers), len(numbers))
     joined = scipy.sparse.coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape)
-    count, label = scipy.sparse.csgraph.connected_components(joined, directed=False)
-    return [numbers[label == k] for k in range(count)] if count < 5000 else _by_label(numbers, label)
-
-
-def _by_label(numbers: Ints, label: Ints) -> list[Ints]:
+    label = scipy.sparse.csgraph.connected_components(joined, directed=False)[1]
     order = np.argsort(label, kind="stable")
     return np.split(numbers[order], np.flatnonzero(np.diff(label[order])) + 1)
 

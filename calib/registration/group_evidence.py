@@ -21,7 +21,7 @@ import scipy
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Plane, Pose
 from calib.numerics import Floats, Ints
-from calib.registration.agreement import COARSE, DECIDED_NATS, NATS_OF_POSE, Agreement, compare_one, gain, nats_of_tilt
+from calib.registration.agreement import COARSE, DECIDED_NATS, Agreement, compare_one, gain, nats_of_place
 from calib.registration.alignment import normal_equations
 from calib.registration.range_view import Surfaces
 
@@ -141,15 +141,13 @@ def weakest_cut(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) ->
 def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], part: Collection[int]) -> float:
     plane_of = shared_planes(surfaces, {k: places[k] for k in part}).plane_of
     planes = 1 + max((plane for own in plane_of.values() for plane in own), default=-1)
-    seen, tilts = [], []
-    for member in places:
-        if member in part:
-            continue
-        for k in part:
-            pose = places[member].inverse() @ places[k]
-            seen.append(_of_planes(compare_one(surfaces[member], surfaces[k], pose), plane_of[k], planes))
-            tilts.append(float(nats_of_tilt(pose)))
-    return float(gain(seen)[0]) - min(tilts) - NATS_OF_POSE
+    across = [(member, k) for member in places if member not in part for k in part]
+    poses = [places[member].inverse() @ places[k] for member, k in across]
+    agreements = [
+        _of_planes(compare_one(surfaces[member], surfaces[k], pose), plane_of[k], planes)
+        for (member, k), pose in zip(across, poses, strict=True)
+    ]
+    return nats_of_place(agreements, poses)
 
 
 def _of_planes(agreement: Agreement, plane_of: Sequence[int], planes: int) -> Agreement:

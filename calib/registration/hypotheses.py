@@ -42,7 +42,9 @@ def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
     Keypoints of the pictures suggest some. Shape descriptors are asked where planes are too few to fix a pose; and the
     rig may hardly have been moved at all.
     """
-    by_planes, further = _suggested(first, second), [IDENTITY, *keypoint_poses(first, second)]
+    reach = 1.2 * (first.distance + second.distance)
+    by_planes = poses_by_planes((first.planes, first.plane_area), (second.planes, second.plane_area), reach)
+    further = [IDENTITY, *keypoint_poses(first, second)]
     if min(_fixed_directions(first), _fixed_directions(second)) < 3:
         further += shape_poses(first, second)
     poses = Pose.concatenate([by_planes, Pose.stack(further)])
@@ -92,12 +94,6 @@ def judged(first: Surfaces, second: Surfaces, pose: Pose) -> Hypothesis:
     agreement = compare_one(first, second, pose)
     nats = float(gain([agreement])[0] - nats_of_tilt(pose))
     return Hypothesis(pose, nats, float(agreement.contradiction[0]))
-
-
-def _suggested(first: Surfaces, second: Surfaces) -> Pose:
-    """Poses (K,) from planes."""
-    reach = 1.2 * (first.distance + second.distance)
-    return poses_by_planes((first.planes, first.plane_area), (second.planes, second.plane_area), reach)
 
 
 _WIDEST = 0.1  # relative to the depth: closer keypoints do not determine a rotation

@@ -256,9 +256,7 @@ def _are_usable(normals: Floats) -> bool:
 
 def _means(points: Floats, normals: Floats, count: Ints | None, cell: float) -> tuple[Floats, Floats, Ints, Floats]:
     """Mean points and normals (M, 3) of the cells, how many points they are, and how far these are spread, (M,)."""
-    place = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
-    number = (place[:, 0] * _SLOT + place[:, 1]) * _SLOT + place[:, 2]
-    _, of_cell = np.unique(number, return_inverse=True)
+    _, of_cell = np.unique(cell_numbers(points, cell, points.min(axis=0)), return_inverse=True)
     weight = np.ones(len(points)) if count is None else count.astype(np.float64)
     total = np.bincount(of_cell, weight)
     middle = np.stack([np.bincount(of_cell, weight * column) for column in points.T], axis=1) / total[:, None]
@@ -269,6 +267,14 @@ def _means(points: Floats, normals: Floats, count: Ints | None, cell: float) -> 
     one_sided: Bools = length > _LEAST_NORMAL
     normal = normal[one_sided] / length[one_sided, None]
     return middle[one_sided], normal, np.rint(total[one_sided]).astype(np.int64), spread[one_sided]
+
+
+def cell_numbers(points: Floats, edge: float, origin: Floats) -> Ints:
+    """Numbers (N,) of the cubes that points (N, 3) are in; a corner of one is the `origin` (3,)."""
+    place = np.floor((points - origin) / edge).astype(np.int64)
+    place -= place.min(axis=0)
+    numbers: Ints = (place[:, 0] * _SLOT + place[:, 1]) * _SLOT + place[:, 2]
+    return numbers
 
 
 def _are_opposed(points: Floats, normals: Floats) -> bool:

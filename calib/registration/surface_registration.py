@@ -17,7 +17,8 @@ from enum import Enum
 import numpy as np
 
 from calib.geometry import Pose
-from calib.numerics import Floats, Ints, biweight, robust_covariance, robust_sigma
+from calib.numerics import Floats, biweight, robust_covariance, robust_sigma
+from calib.registration.sampled_surface import cell_numbers
 from calib.registration.surface_fit import (
     RIVAL_CELLS,
     FreeMotion,
@@ -184,15 +185,9 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool) -> SurfaceRegistr
     if alternatives:
         return replace(made, alignment=Alignment.AMBIGUOUS, alternatives=tuple(alternatives))
     jacobian = position_jacobian(fit.points - centre, fit.normals, with_scale=with_scale)
-    cluster = _clusters(fit.points, _PIECE * best.sides.coarse)
+    cluster = np.unique(cell_numbers(fit.points, _PIECE * best.sides.coarse, np.zeros(3)), return_inverse=True)[1]
     covariance = robust_covariance(jacobian, fit.residual, cluster)
     return replace(made, alignment=Alignment.UNIQUE, covariance=covariance)
-
-
-def _clusters(points: Floats, side: float) -> Ints:
-    """Labels (N,) of the cubes that points are in."""
-    place = np.floor(points / side).astype(np.int64)
-    return np.unique(place, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
 def _finished(candidate: _Candidate, *, with_scale: bool) -> _Candidate:

@@ -12,6 +12,7 @@ from calib.registration import (
     Region,
     SurfacePoints,
     SurfaceRegistration,
+    cell_numbers,
     extent_of,
     find_regions,
     from_mesh,
@@ -155,10 +156,9 @@ def _cells(
     cell: float,
 ) -> tuple[CellDeviations, Ints]:
     """Means over cells, and the cell of each point, (N,): both sides of something thin are in different ones."""
-    place = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
     axis = np.argmax(np.abs(normals), axis=1)
     side = 2 * axis + (normals[np.arange(len(normals)), axis] > 0)
-    number = ((place[:, 0] << 21 | place[:, 1]) << 21 | place[:, 2]) * _SIDES + side
+    number = cell_numbers(points, cell, points.min(axis=0)) * _SIDES + side
     of_cell = np.unique(number, return_inverse=True)[1].reshape(-1).astype(np.int64)
     count = np.bincount(of_cell)
 
