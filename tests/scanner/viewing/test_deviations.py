@@ -33,7 +33,7 @@ def test_colours_are_the_deviations_up_to_the_tolerance(compared: Path) -> None:
     paint = coloured(cloud, np.array([deepest]), Colouring.REFERENCE)
     assert paint.colours[0].tolist() == SIGNED[0].tolist()
     assert paint.bar is not None
-    assert (paint.bar.low, paint.bar.high) == ("−0.1 mm", "+0.1 mm")
+    assert (paint.bar.low, paint.bar.high) == ("−0.100 mm", "+0.100 mm")
     assert verdict.grade == "refused"
     assert verdict.headline.startswith("Fail")
 
