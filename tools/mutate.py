@@ -2,7 +2,7 @@
 
     python tools/mutate.py --record                      # which test runs what; kept, and continued if interrupted
     python tools/mutate.py --count 200 --seed 1          # anywhere in calib/, hw/ and scanner/
-    python tools/mutate.py --at calib/plane_segmentation/faces.py:60 --at scanner/decoding/samples.py:40
+    python tools/mutate.py --at calib/plane_segmentation/faces.py:60 --at scanner/decoding/light/samples.py:40
 
 Works in a temporary copy of the tree. The tests of a line are those that run it, as recorded, up to --seconds of them,
 the nearest and the fastest first, and the folder that mirrors the file's own if none of them is there; or --tests.

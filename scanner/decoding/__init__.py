@@ -1,19 +1,22 @@
 """Decode structured-light sequences: sequence plan, folding of frames, fringe orders, masks, checks."""
 
 from calib.numerics import Floats32
-from scanner.decoding.checks.finest_stripes import FinestStripes, first_harmonics
-from scanner.decoding.checks.map_checks import MirroredError
-from scanner.decoding.checks.operator_advice import MUCH_FLICKER, TOO_DARK
 from scanner.decoding.coordinates.coordinate_maps import Maps
-from scanner.decoding.corrections.frame_corrections import FrameCorrections, corrections_of, describe_copies
+from scanner.decoding.corrections.corrected_frames import (
+    FrameCorrections,
+    corrections_of,
+    describe_copies,
+    require_decoding_memory,
+)
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.fringes.single_fringe import UNCHECKED
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
+from scanner.decoding.image_quality import MUCH_FLICKER, TOO_DARK, FinestStripes, first_harmonics
 from scanner.decoding.light.exposures import saturation_level
 from scanner.decoding.light.samples import TILE_PX, GridSample, Samples, TileSample
+from scanner.decoding.map_checks import MirroredError
 from scanner.decoding.mask_reasons import MaskReason, PixelFlags
 from scanner.decoding.matches import ONE_AXIS
 from scanner.decoding.motion import SUSPECTED_PX, UNSEEN_MOTION, moved
 from scanner.decoding.planning import plan_sequence, usable
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
-from scanner.decoding.stack import require_decoding_memory

@@ -17,19 +17,13 @@ from calib.estimation import Shift
 from calib.finding import Finding
 from calib.geometry import Calibration, Matches
 from calib.numerics import Bools, Image
-from scanner.decoding.between_axes import halves_of, motion_between
-from scanner.decoding.checks.epipolar_test import annotate_errors, assess_anomalies, leave_out_stray_light
-from scanner.decoding.checks.finest_stripes import FinestStripes, finest_stripes
-from scanner.decoding.checks.map_checks import check_cycles
-from scanner.decoding.checks.operator_advice import too_dark, warnings_of
-from scanner.decoding.constraints.ambient_light_change import AmbientLightChange
-from scanner.decoding.constraints.frame_consistency import suspected
 from scanner.decoding.coordinates.code_images import CodeImages
 from scanner.decoding.coordinates.coordinate_maps import Maps, coordinate_maps
 from scanner.decoding.coordinates.edge_refinement import check_roughness, refine_by_edges, widen_by_roughness
-from scanner.decoding.corrections.frame_corrections import (
+from scanner.decoding.corrections.corrected_frames import (
     CorrectedFrames,
     FrameCorrections,
+    Stack,
     corrections_of,
     is_copy,
     late_places,
@@ -38,9 +32,12 @@ from scanner.decoding.corrections.frame_corrections import (
 )
 from scanner.decoding.fringes.single_fringe import shift_of, unchecked_finding
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
+from scanner.decoding.image_quality import FinestStripes, finest_stripes, too_dark, warnings_of
+from scanner.decoding.light.ambient_light_change import AmbientLightChange
 from scanner.decoding.light.exposures import ExposureMerger, exposures_of
-from scanner.decoding.light.noise_model import NoiseModel, measure_noise, needs_neighbours
-from scanner.decoding.light.samples import Samples
+from scanner.decoding.light.photometric_constraints import suspected
+from scanner.decoding.light.samples import NoiseModel, Samples, measure_noise, needs_neighbours
+from scanner.decoding.map_checks import annotate_errors, assess_anomalies, check_cycles, leave_out_stray_light
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.matches import OneAxis, match_kept, one_axis, one_axis_finding
 from scanner.decoding.motion import (
@@ -52,13 +49,13 @@ from scanner.decoding.motion import (
     refuse_period_slips,
     refuse_unexplained_motion,
 )
+from scanner.decoding.motion.between_axes import halves_of, motion_between
 from scanner.decoding.motion.device_motion import between_periods_px
 from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels
 from scanner.decoding.motion.wrong_bits import repair_bits
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import CalibratedDecoders, Observations, check_and_calibrate, observe
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.stack import Stack
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
 

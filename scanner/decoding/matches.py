@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Matches, cross_epipolar_lines
 from calib.numerics import STRIP_ROWS, Bools, Floats, Floats32, Image, compiled, in_slices
-from scanner.decoding.checks.map_checks import check_maps
 from scanner.decoding.codes.gray_code import CellMatches, average_cells
 from scanner.decoding.coordinates.axis_decoder import EDGE_PX, mask_outside
 from scanner.decoding.coordinates.coordinate_maps import Maps, small_patches
+from scanner.decoding.map_checks import check_maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.patterns import Axis

@@ -8,20 +8,24 @@ import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Bools, Image
-from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.codes.code_checks import check_codes
-from scanner.decoding.constraints.ambient_light_change import AmbientLightChange
-from scanner.decoding.constraints.frame_checks import agree, check_frames, is_explained_by_swap
-from scanner.decoding.constraints.frame_consistency import suspected
 from scanner.decoding.coordinates.axis_decoder import AxisDecoder
 from scanner.decoding.coordinates.code_images import CodeImages, signals_of
-from scanner.decoding.coordinates.decoder_calibration import calibrated_decoders, measured_widely, modulation
-from scanner.decoding.coordinates.resolution import drop_lost_fringes, resolve_bits
+from scanner.decoding.coordinates.decoder_calibration import (
+    calibrated_decoders,
+    drop_lost_fringes,
+    measured_widely,
+    modulation,
+    resolve_bits,
+)
 from scanner.decoding.corrections.gains import outlier_groups, swings_of
+from scanner.decoding.light.ambient_light_change import AmbientLightChange
 from scanner.decoding.light.brightness import Gains, LitRows, flicker_of
 from scanner.decoding.light.exposures import lit_by, log_mosaic, saturation_level
-from scanner.decoding.light.noise_model import NoiseModel, measure_noise
-from scanner.decoding.light.samples import Sample, Samples
+from scanner.decoding.light.frame_checks import agree, check_frames, is_explained_by_swap
+from scanner.decoding.light.photometric_constraints import suspected
+from scanner.decoding.light.samples import NoiseModel, Sample, Samples, measure_noise
+from scanner.decoding.map_checks import check_fringes
 from scanner.decoding.motion import (
     CodeShift,
     InconsistentPixels,

@@ -14,8 +14,7 @@ import numpy as np
 from calib.finding import Finding
 from calib.numerics import Bools, Image, Ints, Words, compiled, lines_of
 from scanner.decoding.codes.gray_code import CodeWords, cell_numbers
-from scanner.decoding.constraints import LEFT_BY_SWAP, MOST_BROKEN, anomaly
-from scanner.decoding.light import LIT, STRAY_PART, NoiseModel
+from scanner.decoding.light import LEFT_BY_SWAP, LIT, MOST_BROKEN, STRAY_PART, NoiseModel, anomaly
 from scanner.decoding.sequence_plan import FINE_BITS, GrayCode, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FARTHEST_PX, FEWEST_COUNTED, OUTLYING_SIGMAS
 from scanner.errors import FramesError

@@ -1,5 +1,6 @@
 """Detection and correction of motion during a capture: of the camera, the projector or objects in the scene."""
 
+from scanner.decoding.motion.between_axes import halves_of, motion_between
 from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
 from scanner.decoding.motion.device_motion import (
     LEAST_PX,

@@ -14,9 +14,8 @@ import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Bools, Floats32
-from scanner.decoding.constraints import STATIC_SHARE, find_violations, frames_of_fine_bits
 from scanner.decoding.coordinates import SMALLEST_PATCH
-from scanner.decoding.light import GridSample, NoiseModel
+from scanner.decoding.light import STATIC_SHARE, GridSample, NoiseModel, find_violations, frames_of_fine_bits
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW
 

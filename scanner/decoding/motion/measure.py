@@ -10,8 +10,13 @@ import numpy as np
 
 from calib.numerics import Floats, Ints
 from scanner.decoding.motion.device_motion import LEAST_PX, CoordinateShift, MotionEstimate, largest_bump_px
-from scanner.decoding.motion.frame_equations import UNKNOWNS, Projection, equations_of_motion
-from scanner.decoding.motion.fringe_model import FringeModel, fringe_frames
+from scanner.decoding.motion.frame_equations import (
+    UNKNOWNS,
+    FringeModel,
+    Projection,
+    equations_of_motion,
+    fringe_frames,
+)
 from scanner.decoding.motion.pixels import COLUMNS, PER_DEVICE, MotionPixels, ObservedFringes, RigidFit, choose_pixels
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS

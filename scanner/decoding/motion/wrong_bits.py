@@ -20,9 +20,8 @@ import numpy as np
 
 from calib.numerics import Bools, Floats32, Image, Ints, Words, compiled, median
 from scanner.decoding.codes import CodeWords, cell_numbers
-from scanner.decoding.constraints import STATIC_SHARE
 from scanner.decoding.coordinates import Maps
-from scanner.decoding.light import GridSample
+from scanner.decoding.light import STATIC_SHARE, GridSample
 from scanner.decoding.mask_reasons import BROKEN, MaskReason
 from scanner.decoding.motion.inconsistent_pixels import patches
 from scanner.decoding.sequence_plan import SequencePlan

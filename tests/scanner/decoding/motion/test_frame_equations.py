@@ -5,8 +5,14 @@ import pytest
 
 from scanner.decoding import plan_sequence
 from scanner.decoding.motion import shifts_by_motion
-from scanner.decoding.motion.frame_equations import UNKNOWNS, FrameEquations, equations_of_motion
-from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel, fringe_frames
+from scanner.decoding.motion.frame_equations import (
+    UNKNOWNS,
+    FrameEquations,
+    FringeFrames,
+    FringeModel,
+    equations_of_motion,
+    fringe_frames,
+)
 from scanner.decoding.motion.measure import Trajectory, trajectories_of
 from scanner.decoding.motion.pixels import COLUMNS, MotionPixels
 from scanner.patterns import PRESETS

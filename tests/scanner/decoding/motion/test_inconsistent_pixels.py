@@ -8,8 +8,7 @@ import pytest
 
 from calib.numerics import Bools, Floats, Image
 from scanner.decoding import Decoding, GridSample, MaskReason, plan_sequence
-from scanner.decoding.constraints import find_violations
-from scanner.decoding.light import NoiseModel
+from scanner.decoding.light import NoiseModel, find_violations
 from scanner.decoding.motion import InconsistentPixels, find_inconsistent_pixels
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calib.numerics import Image
-from scanner.decoding import stack
-from scanner.decoding.stack import Stack
+from scanner.decoding.corrections import corrected_frames
+from scanner.decoding.corrections.corrected_frames import Stack
 from scanner.errors import InputError
 from scanner.patterns import sequence_for
 from tests.support.synthetic_capture import Scene, decode
@@ -16,7 +16,7 @@ SHAPE = (3, 4)
 @pytest.fixture(params=["in memory", "in a file"])
 def memory(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Simulate a machine with much or little memory."""
-    monkeypatch.setattr(stack, "total_bytes", lambda: 1 << 40 if request.param == "in memory" else 1)
+    monkeypatch.setattr(corrected_frames, "total_bytes", lambda: 1 << 40 if request.param == "in memory" else 1)
     return str(request.param)
 
 
@@ -36,7 +36,7 @@ def test_a_mapped_capture_decodes_alike(monkeypatch: pytest.MonkeyPatch) -> None
     patterns = sequence_for(scene.projector)
     frames = scene.frames(patterns)
     usual = decode(patterns, frames, scene.projector)
-    monkeypatch.setattr(stack, "total_bytes", lambda: 1)
+    monkeypatch.setattr(corrected_frames, "total_bytes", lambda: 1)
     mapped = decode(patterns, frames, scene.projector)
     assert len(usual.matches) > 1000
     assert np.array_equal(usual.matches.projector_px, mapped.matches.projector_px)
@@ -46,7 +46,7 @@ def test_a_full_disk_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(stack, "total_bytes", lambda: 1)
+    monkeypatch.setattr(corrected_frames, "total_bytes", lambda: 1)
     monkeypatch.setattr("os.posix_fallocate", full)
     with pytest.raises(InputError, match="set TMPDIR to a folder with room"):
         Stack(4, np.zeros(SHAPE, np.uint8), codes_alone=False)

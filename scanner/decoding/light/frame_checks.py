@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from calib.finding import Finding
 from calib.numerics import TRIAL_PIXELS, Bools, Floats32, evenly_spread
-from scanner.decoding.constraints.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
-from scanner.decoding.constraints.frame_consistency import (
+from scanner.decoding.light.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
+from scanner.decoding.light.exposures import LIT
+from scanner.decoding.light.photometric_constraints import (
     LEFT_BY_SWAP,
     LitSample,
     anomaly,
@@ -25,7 +26,7 @@ from scanner.decoding.constraints.frame_consistency import (
     suspected,
     total_inconsistency,
 )
-from scanner.decoding.light import LIT, NoiseModel
+from scanner.decoding.light.samples import NoiseModel
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, BRIGHTEST, FEWEST_PIXELS, HALF, NEARLY_ALL, OUTLYING_SIGMAS
 from scanner.errors import FramesError, InputError

@@ -5,7 +5,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
-from scanner.decoding.checks.map_checks import check_cycles
+from scanner.decoding.map_checks import check_cycles
 from scanner.errors import InputError
 from tests.scanner.decoding.motion.test_wrong_bits import PERIOD, PLAN, SHAPE, maps, wall
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from scanner.decoding.between_axes.borders import near_border, places_of_tiles
-from scanner.decoding.between_axes.registration import TILE_PX
+from scanner.decoding.motion.borders import near_border, places_of_tiles
+from scanner.decoding.motion.registration import TILE_PX
 
 SIZE = (120, 90)
 

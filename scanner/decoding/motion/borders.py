@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, Floats, Floats32, Ints, around, compiled
-from scanner.decoding.between_axes.registration import TILE_PX, TileWarp, centres_of_tiles, moments_of_tiles
-from scanner.decoding.motion import MOST_ROUGH_PX, PER_DEVICE, shifts_by_motion
+from scanner.decoding.motion.pixels import MOST_ROUGH_PX, PER_DEVICE, shifts_by_motion
+from scanner.decoding.motion.registration import TILE_PX, TileWarp, centres_of_tiles, moments_of_tiles
 from scanner.decoding.significance import FEWEST_PIXELS, NEGLIGIBLE
 
 # Decoded pixels at most this far from the border, in projector px, locate it to this many camera px.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scanner.decoding import Fringe
-from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel
+from scanner.decoding.motion.frame_equations import FringeFrames, FringeModel
 
 PERIOD, SHIFTS = 8.0, np.arange(6) / 6
 FRINGE = Fringe("x", PERIOD, tuple(SHIFTS.tolist()), tuple(range(6)))

@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 
 from calib.numerics import Floats, Floats32, Image, clustered_scatter, huber_weights
-from scanner.decoding.between_axes.borders import REACH_PX, Edges, ScenePixels
-from scanner.decoding.between_axes.registration import shifts_of_tiles, solved
-from scanner.decoding.motion import COLUMNS, PER_DEVICE, SUSPECTED_PX, RigidFit
+from scanner.decoding.motion.borders import REACH_PX, Edges, ScenePixels
+from scanner.decoding.motion.device_motion import SUSPECTED_PX
+from scanner.decoding.motion.pixels import COLUMNS, PER_DEVICE, RigidFit
+from scanner.decoding.motion.registration import shifts_of_tiles, solved
 from scanner.decoding.significance import (
     HALF,
     HUBER_ROUNDS,

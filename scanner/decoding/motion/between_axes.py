@@ -25,18 +25,17 @@ from calib.numerics import (
     compiled,
     in_slices,
 )
-from scanner.decoding.between_axes.borders import REACH_PX, Edges, part_around, places_of_tiles
-from scanner.decoding.between_axes.coarse_to_fine import TimeOfChange, motion_of, time_of_change
 from scanner.decoding.coordinates import CodeImages
-from scanner.decoding.motion import (
-    COLUMNS,
+from scanner.decoding.motion.borders import REACH_PX, Edges, part_around, places_of_tiles
+from scanner.decoding.motion.coarse_to_fine import TimeOfChange, motion_of, time_of_change
+from scanner.decoding.motion.device_motion import (
     LEAST_PX,
-    PER_DEVICE,
     SUSPECTED_PX,
     CoordinateShift,
     MotionEstimate,
     turns_px,
 )
+from scanner.decoding.motion.pixels import COLUMNS, PER_DEVICE
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 

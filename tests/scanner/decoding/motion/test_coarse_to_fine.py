@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.numerics import Image
-from scanner.decoding.between_axes.coarse_to_fine import time_of_change
+from scanner.decoding.motion.coarse_to_fine import time_of_change
 
 SHAPE = (48, 64)
 STRIPES = (16.0, 8.0, 4.0, 2.0, 1.0) * 2
