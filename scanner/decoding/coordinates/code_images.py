@@ -83,7 +83,7 @@ class CodeImages:
             index = self._first[place]
             yield index, self._equalisers[index](frame, part) if index in self._equalisers else frame
 
-    def stacked(self, part: Window, frames: Sequence[int]) -> tuple[Image, dict[int, int], tuple[int, int]]:
+    def stacked(self, part: Window, frames: Collection[int]) -> tuple[NDArray[Any], dict[int, int], tuple[int, int]]:
         """Return a stack (N, ...) that holds some frames, by index, as `equalised`; the place of each in it; and the
         row and column at which the part begins in it.
 
@@ -92,11 +92,13 @@ class CodeImages:
         if self._frames.corrections == FrameCorrections() and not self._equalisers.keys() & {*frames}:
             kept = {index: place for place, index in self._first.items() if index in frames}
             return self._frames.taken, kept, (part[0].start, part[1].start)
-        stack = np.empty((len(frames), *self.threshold[part].shape), self.threshold.dtype)
-        places = {}
-        for number, (index, frame) in enumerate(self.equalised(part, frames)):
-            stack[number], places[index] = frame, number
-        return stack, places, (0, 0)
+        order = [index for index in self._first.values() if index in frames]
+        # Fringes that were equalised are no whole grey levels any more.
+        kinds = {frame.dtype for _, frame in self.equalised((slice(0, 1), slice(0, 1)), order)}
+        stack = np.empty((len(order), *self.threshold[part].shape), np.result_type(*kinds))
+        for place, (_, frame) in enumerate(self.equalised(part, order)):
+            stack[place] = frame
+        return stack, {index: place for place, index in enumerate(order)}, (0, 0)
 
     def equalise(self, group: Sequence[int], by: Callable[[int, Image, Part], NDArray[Any]]) -> None:
         """Equalise a group of frames from now on, each by its number in the group."""
