@@ -2,5 +2,4 @@
 
 from scanner.recordings.clocks import exposure_text
 from scanner.recordings.import_recording import Imported, import_recording
-from scanner.recordings.player_video import CONTAINERS, write_player_video
-from scanner.recordings.programme import Programme, programme_of, read_programme
+from scanner.recordings.programme import CONTAINERS, Programme, programme_of, read_programme, write_player_video

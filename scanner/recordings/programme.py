@@ -2,21 +2,26 @@
 
 The start mark is a rhythm of white and black fields. It needs no geometry: the pictures are decoded in pixels of the
 video, so that scaling by the player only resamples them, and a mirrored picture shows in the decoded coordinates.
+
+Writing a sequence as a video that players show: H.264, 4:2:0, constant rate, nearly lossless.
 """
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from calib.geometry import SQUARE_PIXELS, PixelGrid, Size
 from scanner.errors import InputError
 from scanner.io import Entry, Number, Whole, read_yaml, validate
-from scanner.patterns import FORMAT, Pattern, PatternEntry, pattern_to_dict
+from scanner.patterns import FORMAT, Pattern, PatternEntry, draw, pattern_to_dict
+from scanner.recordings.video_file import av
 
 FRAMES_PER_SECOND = 60  # a projector of 60 Hz shows it without judder
 WHITE, BLACK = -1, -2
@@ -26,6 +31,12 @@ LONGEST_WHITE = 2  # the slot of a mark that is white and has white before and a
 _ID_BITS = 8
 _SHORTEST_S, _LONGEST_S, _MOST_LOOPS = 0.05, 10.0, 20
 LEAD_IN_S, LEAD_OUT_S = 2.0, 1.0  # black: players show their buttons at the beginning
+CONTAINERS = (".mp4", ".mov", ".mkv")
+# At this quality, grey levels err by one or two; few players support lossless H.264.
+_QUANTISER = "4"
+_BLACK_LEVEL, _LEVELS = 16, 219  # luma range (ITU-R BT.709); players may not support others
+_NO_COLOUR = 128
+_LIMITED_RANGE, _BT_709 = 1, 1
 
 
 @dataclass(frozen=True)
@@ -155,3 +166,40 @@ def read_programme(path: Path) -> Programme:
         return Programme(patterns, size, entry.video.hold_s, entry.video.loops, PixelGrid(entry.pixel_aspect))
     except ValueError as error:
         raise InputError(f"{path}: video: {error}") from error
+
+
+def write_player_video(path: Path, programme: Programme) -> None:
+    """A picture with an odd side gets another row or column. Raises InputError if PyAV is missing."""
+    width, height = (side + side % 2 for side in programme.grid.device_size(programme.size))
+    library = av()
+    with library.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=FRAMES_PER_SECOND)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.options = {"qp": _QUANTISER, "preset": "medium", "bf": "0", "g": str(FRAMES_PER_SECOND)}
+        context = stream.codec_context
+        context.color_range, context.colorspace = _LIMITED_RANGE, _BT_709
+        context.color_primaries, context.color_trc = _BT_709, _BT_709
+        number = 0
+        for picture, frames in _pictures(programme):
+            padded = np.pad(np.asarray(programme.grid.sample(picture), np.float64), [(0, 1)] * 2, mode="edge")[
+                :height, :width
+            ]
+            luma = np.rint(_BLACK_LEVEL + padded * (_LEVELS / 255)).astype(np.uint8)
+            planes = np.concatenate([luma, np.full((height // 2, width), _NO_COLOUR, np.uint8)])
+            for _ in range(frames):
+                frame = library.VideoFrame.from_ndarray(planes, format="yuv420p")
+                frame.pts, frame.color_range = number, _LIMITED_RANGE
+                number += 1
+                container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+
+
+def _pictures(programme: Programme) -> Iterator[tuple[NDArray[np.uint8], int]]:
+    """Yield each picture, and for how many frames it is shown."""
+    width, height = programme.size
+    fields = {WHITE: np.full((height, width), 255, np.uint8), BLACK: np.zeros((height, width), np.uint8)}
+    hold = round(programme.hold_s * FRAMES_PER_SECOND)
+    yield fields[BLACK], round(LEAD_IN_S * FRAMES_PER_SECOND)
+    for slot in programme.slots:
+        yield fields[slot] if slot in fields else draw(programme.patterns[slot], programme.size), hold
+    yield fields[BLACK], round(LEAD_OUT_S * FRAMES_PER_SECOND)

@@ -1,5 +1,7 @@
 """Select the frames that make each picture, row by row: those in which it alone was lit, or a linear unmixing of frames
 with known shares.
+
+Frames of one picture are compared with each other: how bright each is, and which shows something else.
 """
 
 from dataclasses import dataclass
@@ -9,16 +11,22 @@ import numpy as np
 from calib.numerics import Bools, Floats, Ints
 from scanner.errors import InputError
 from scanner.recordings.clocks import Clocks
-from scanner.recordings.exposure_times import exposure_begins, frames_between, margin_s, shown_reversed, within_slot
-from scanner.recordings.frame_gains import frame_gains
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
+from scanner.recordings.steadiness import white_frames
 
 _SHORT_MARGIN_S = 0.002  # margin next to a change, where no frame keeps the usual one
 _NEIGHBOURS = 2  # number of pictures before and after that may be unmixed together
 _RIDGE = 0.03  # error of a share
 _LEAST_RESOLVED, _MOST_NOISE = 0.9, 4.0
 _MOST_ROWS_LOST = 0.3
+# Frames are outliers of their picture if they differ by this share of the range, and this many times the usual
+# difference.
+_ODD, _ODD_TIMES = 0.04, 4.0
+_FEWEST = 3
+_WEAK = 0.05  # share of white: at this brightness, a gain has half its weight
+# Time left out next to a change, if there are enough frames, for the response and scan-out of projectors.
+_LONG_MARGIN_S, _MARGIN_OF_SLOT = 0.02, 0.12
 
 
 @dataclass(frozen=True)
@@ -128,3 +136,66 @@ def _around(programme: Programme, pattern: int) -> list[int]:
     """Return the patterns shown within `_NEIGHBOURS` slots of a pattern, each once."""
     around = [programme.loop[slot - _NEIGHBOURS : slot + _NEIGHBOURS + 1] for slot in programme.slots_of(pattern)]
     return list(dict.fromkeys(shown for each in around for shown in each))
+
+
+def frame_gains(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Floats:
+    """(N,): the brightness of each frame relative to the others of its picture; 0 of one that shows another picture.
+
+    Frames that show no single picture have 1.
+    """
+    mark = white_frames(samples, programme, clocks)
+    white = float(np.median(samples.light(clocks.tone, mark)[:, samples.lit]))
+    gains = np.ones(len(samples.times_s))
+    odd, measured = np.zeros(len(gains)), np.zeros(len(gains), np.bool_)
+    for loop in range(len(clocks.loops)):
+        changes = clocks.changes(loop)
+        for slot in range(len(programme.mark), len(programme.loop) - len(programme.mark)):
+            begins, ends = changes[slot : slot + 2]
+            group = frames_between(samples, clocks, begins, ends)
+            exposed = exposure_begins(samples, clocks, group, samples.rows)
+            group = group[within_slot(exposed, clocks.exposure_s, (begins, ends), margin_s(clocks)).mean(axis=1) > 0.5]
+            if len(group) < _FEWEST:
+                continue
+            seen = samples.light(clocks.tone, group)[:, samples.lit].astype(np.float64)
+            middle = np.median(seen, axis=0)
+            # A dark picture hardly determines the brightness of its frames.
+            weak = len(middle) * (_WEAK * white) ** 2
+            gain = (seen @ middle + weak) / (middle @ middle + weak)
+            gains[group] = gain
+            odd[group] = np.sqrt(np.mean((seen - gain[:, None] * middle) ** 2, axis=1)) / white
+            measured[group] = True
+    if measured.any():
+        limit = max(_ODD, _ODD_TIMES * float(np.median(odd[measured])))
+        gains[odd > limit] = 0.0
+    return gains
+
+
+def within_slot(begins: Floats, exposure_s: float, slot: tuple[float, float], margin_s: float) -> Bools:
+    """Exposures that lie within a slot."""
+    return (begins >= slot[0] + margin_s) & (begins + exposure_s <= slot[1] - margin_s)
+
+
+def margin_s(clocks: Clocks) -> float:
+    """The usual one."""
+    return max(min(_LONG_MARGIN_S, _MARGIN_OF_SLOT * clocks.loops[0].slot_s), 2 * clocks.scatter_s)
+
+
+def exposure_begins(samples: VideoSamples, clocks: Clocks, numbers: Ints, rows: Floats) -> Floats:
+    """Return when rows of frames begin to be exposed, (n, rows)."""
+    delays = clocks.row_delays(rows, samples.middle_row)
+    return samples.times_s[numbers][:, None] + delays - clocks.exposure_s / 2
+
+
+def shown_reversed(samples: VideoSamples, programme: Programme, clocks: Clocks, numbers: Ints) -> Bools:
+    """Which of the frames (n,) show pictures in reverse order."""
+    times = samples.times_s[numbers]
+    loops = [clocks.changes(loop)[[programme.turn, programme.slots_between_marks]] for loop in range(len(clocks.loops))]
+    back: Bools = np.any([(times > turn) & (times < end) for turn, end in loops], axis=0)
+    return back
+
+
+def frames_between(samples: VideoSamples, clocks: Clocks, begins: float, ends: float) -> Ints:
+    """Frames with a row that is exposed from `begins` to `ends`."""
+    reach = clocks.exposure_s + abs(clocks.line_s) * samples.video.size.height
+    first, last = np.searchsorted(samples.times_s, (begins - reach, ends + reach))
+    return np.arange(first, last)

@@ -13,8 +13,15 @@ from calib.geometry import Size
 from scanner.patterns import PRESETS, draw
 from scanner.recordings.averaging import image_of
 from scanner.recordings.clocks import Clocks
-from scanner.recordings.player_video import write_player_video
-from scanner.recordings.programme import BLACK, FRAMES_PER_SECOND, LEAD_IN_S, WHITE, Programme, programme_of
+from scanner.recordings.programme import (
+    BLACK,
+    FRAMES_PER_SECOND,
+    LEAD_IN_S,
+    WHITE,
+    Programme,
+    programme_of,
+    write_player_video,
+)
 from scanner.recordings.samples import VideoSamples
 from scanner.recordings.start_marks import Loop
 from scanner.recordings.steadiness import moved_px

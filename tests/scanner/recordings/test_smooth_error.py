@@ -6,9 +6,8 @@ import pytest
 from calib.geometry import Size
 from calib.numerics import Floats
 from scanner.patterns import PRESETS, Phase
-from scanner.recordings.averaging import Averaged
+from scanner.recordings.averaging import Averaged, smooth_px
 from scanner.recordings.programme import Programme
-from scanner.recordings.smooth_error import smooth_px
 from scanner.recordings.weights import PictureWeights
 
 HEIGHT, WIDTH = 120, 160

@@ -12,8 +12,8 @@ import pytest
 from calib.geometry import Size
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, write_sequence
-from scanner.recordings.libav import av as library
 from scanner.recordings.programme import WHITE, programme_of
+from scanner.recordings.video_file import av as library
 from tests.support.command_line import run
 from tests.support.room import PROJECTOR, FilmedRoom
 

@@ -15,9 +15,8 @@ import pytest
 
 from scanner.errors import InputError
 from scanner.interruption import handlers_restored, interrupt, on_ending
-from scanner.recordings import film_bytes
-from scanner.recordings.film_bytes import opened_film
-from scanner.recordings.video_file import open_video
+from scanner.recordings import video_file
+from scanner.recordings.video_file import open_video, opened_film
 from tests.support.command_line import run
 from tests.support.room import FilmedRoom
 
@@ -133,7 +132,7 @@ def test_references_to_other_films_are_not_followed(tmp_path: Path) -> None:
 
 
 def test_even_a_playlist_could_open_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(film_bytes, "_CONTAINERS", (("hls", 0, (b"#EXTM3U",)),))
+    monkeypatch.setattr(video_file, "_CONTAINERS", (("hls", 0, (b"#EXTM3U",)),))
     with listening() as (listener, address):
         path = tmp_path / "whole.m3u8"
         path.write_text(PLAYLISTS["whole.m3u8"].format(address=address), encoding="utf-8")
@@ -210,7 +209,7 @@ def test_an_interruption_ends_reading_at_once(
     def opened(path: Path) -> Iterator[io.BytesIO]:
         yield file
 
-    monkeypatch.setattr(film_bytes, "opened", opened)
+    monkeypatch.setattr(video_file, "opened", opened)
     with handlers_restored():
         on_ending(interrupt)
         with pytest.raises(KeyboardInterrupt):
