@@ -14,7 +14,7 @@ from hw.errors import DeviceError
 from hw.projector.process import ScreenProjector
 from hw.rig import exposure_control, settable_exposure
 from hw.settings import CameraRigSettings
-from hw.timing.streamed_rig import streamed
+from hw.timing.streaming import streamed
 from hw.timing.synchronisation import synchronised
 from hw.timing.timed_rig import TimedRig
 

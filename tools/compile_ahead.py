@@ -26,7 +26,7 @@ from scanner.configuration import Config
 from scanner.exporting import FORMATS, ExportRequest
 from scanner.patterns import PRESETS, Phase
 from scanner.reconstruction import reconstruct
-from scanner.reconstruction.keystone.planes import planes_at
+from scanner.reconstruction.keystone.beat import planes_at
 from scanner.results import Decoded, GivenMatches, new_result
 from scanner.ui import Terminal
 

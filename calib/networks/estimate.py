@@ -19,11 +19,20 @@ from calib.finding import FindingKind
 from calib.geometry import FACES, NO_FACE, PER_PLANE, Intrinsics, Matches, Size
 from calib.networks.diagnostics import Strain, not_connected, refuse_mirrored, standing_alike, strains
 from calib.networks.initialisation import ROUGH, Grown
-from calib.networks.moves import Explanation, likeliest, moves
 from calib.networks.network import WARP, Device, Network
 from calib.networks.observations import NetworkProblem, PairName, PlaneObservation
 from calib.networks.prior import NetworkKnowledge
-from calib.networks.warps import Warps, find_warps, is_strained, or_moved, warped, weighed
+from calib.networks.warps import (
+    Explanation,
+    Warps,
+    find_warps,
+    is_strained,
+    likeliest,
+    moves,
+    or_moved,
+    warped,
+    weighed,
+)
 from calib.networks.weights import Weights
 from calib.numerics import Floats, evenly
 from calib.refinement import SQUARENESS_DEG, LensPrior

@@ -8,13 +8,16 @@ Columns of every step, gradient and Hessian: for each device its intrinsics (8),
 (3) about the room's axes and the translation (3) of its pose, and the warp (4) of its picture; then for each plane two
 tilts, along `tangent_basis` of its normal, and its offset. The room's frame is the first device's, whose pose is held;
 lengths are in distances between the first two devices. Pictures have no warp, unless that is doubted.
+
+Points where a camera's and a projector's rays of a network meet, and what errors of the devices move them by.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.geometry import PER_PLANE, PER_POSE, Plane, Pose, Size, project, unproject
+from calib.geometry import PER_PLANE, PER_POSE, Plane, Pose, Size, depths_of_rays, project, unproject
 from calib.numerics import Floats
 from calib.refinement import PER_DEVICE, moved_device
 
@@ -22,6 +25,7 @@ PER_WARP = 4
 PER_NODE = PER_DEVICE + PER_POSE + PER_WARP
 POSE, PLACE = slice(PER_DEVICE, PER_DEVICE + PER_POSE), slice(PER_DEVICE + 3, PER_DEVICE + PER_POSE)
 WARP = slice(PER_DEVICE + PER_POSE, PER_NODE)  # all of a device's own columns
+_STEP = 1e-5  # of every column, for central differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,3 +114,33 @@ class Network:
             tuple(device.moved(step[self.device_columns(i)]) for i, device in enumerate(self.devices)),
             tuple(plane.retract(step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
         )
+
+
+def meeting_points(camera: Device, projector: Device, camera_px: Floats, projector_px: Floats) -> Floats:
+    """Midpoints (N, 3) of the rays' common perpendiculars, in the network's frame, of pixels (N, 2) of two devices."""
+    u, v = (
+        device.pose.rotate(device.rays(pixels)[0])
+        for device, pixels in ((camera, camera_px), (projector, projector_px))
+    )
+    s, t = depths_of_rays(u, v, camera.pose.translation - projector.pose.translation).T
+    first, second = camera.pose.translation + s[:, None] * u, projector.pose.translation + t[:, None] * v
+    middle: Floats = (first + second) / 2
+    return middle
+
+
+def point_slopes(devices: Sequence[Device], pair: tuple[int, int], camera_px: Floats, projector_px: Floats) -> Floats:
+    """Derivatives (3, 18 D) of the point of one match, of pixels (2,) of a camera and a projector, which `pair`
+    numbers, by the columns of all devices (D).
+    """
+    slopes = np.zeros((3, PER_NODE * len(devices)))
+    pixels = camera_px[None], projector_px[None]
+    for role, device in enumerate(pair):
+        for column in range(PER_NODE):
+            step, ends = np.zeros(PER_NODE), []
+            for sign in (1, -1):
+                step[column] = sign * _STEP
+                both = [devices[pair[0]], devices[pair[1]]]
+                both[role] = both[role].moved(step)
+                ends.append(meeting_points(both[0], both[1], *pixels)[0])
+            slopes[:, PER_NODE * device + column] = (ends[0] - ends[1]) / (2 * _STEP)
+    return slopes

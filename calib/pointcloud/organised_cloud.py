@@ -1,20 +1,143 @@
-"""Triangulates matches to an organised point cloud, with at most one point for each camera pixel."""
+"""Triangulates matches to an organised point cloud, with at most one point for each camera pixel.
+
+Normals of an organised cloud by local plane fits, and its isolated points.
+
+Usually a plane is fitted through a pixel's window, in inverse depth. Where the window crosses an occlusion edge, or
+holds too few points, the nearest neighbours in space are used instead; they lie on the same side of the edge.
+
+Lengths are in footprints: the step of one pixel at the point's depth, on a surface facing the camera. That makes limits
+independent of the unit and of the scene's size.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import cos, radians
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from calib.geometry import Calibration, Matches
-from calib.numerics import Bools, Image, in_slices
-from calib.pointcloud.normals import scattered_surface, surface
+from calib.numerics import Bools, Floats, Image, Ints, in_slices
 from calib.pointcloud.pixel_grid import organise
+from calib.pointcloud.plane_fit import FEWEST_NEIGHBOURS, LARGEST_WINDOW, WindowPlanes, window_planes
 
+_SMALLEST_WINDOW = 7
+_WANTED_NORMAL_RAD = 0.05
+_NEIGHBOURS = 12
+# A surface seen at more than 85° from its normal cannot be distinguished from an occlusion edge.
+_STEEPEST = 1 / cos(radians(85.0))
+_OUTLIER_SIGMAS = 6.0
+_SAMPLE = 200_000
+_AT_A_TIME = 4096
+_STRIP_ROWS = 64
 _NO_TEXTURE_GREY = 200
 _WHITE_PERCENTILE = 99.9
-_STRIP_ROWS = 64
+
+
+@dataclass(frozen=True)
+class SurfaceNormals:
+    """`normals` (H, W, 3): of unit length and facing the camera, NaN where there is no point.
+
+    `isolated` (H, W): points without neighbours on a common surface.
+    """
+
+    normals: NDArray[np.float32]
+    isolated: Bools
+
+
+def surface(points: NDArray[np.float32], focal_px: float) -> SurfaceNormals:
+    """Normals of points (H, W, 3) on the camera's grid, NaN where there is none; `focal_px` is the camera's."""
+    planes, window = window_planes(points, focal_px, _SMALLEST_WINDOW), _SMALLEST_WINDOW
+    isolated = np.zeros(planes.count.shape, dtype=np.bool_)
+    if not planes.count.any():
+        return SurfaceNormals(planes.normals, isolated)
+    noise, filled = _typical(planes)
+    wider = _window_for(noise, filled)
+    if wider > window:
+        planes, window = window_planes(points, focal_px, wider), wider
+        noise, filled = _typical(planes)
+    normals, width = planes.normals, points.shape[1]
+
+    def uneven(rows: slice) -> Ints:
+        even = planes.roughness[rows] <= max(1.0, _OUTLIER_SIGMAS * noise)
+        places: Ints = rows.start * width + np.flatnonzero(~even & (planes.count[rows] > 0))
+        return places
+
+    hard = np.concatenate(in_slices(len(points), _STRIP_ROWS, uneven))
+    if len(hard):
+        spacing, cloud = max(1.0, window / float(np.sqrt(filled))), points.reshape(-1, 3)
+        reach = max(_STEEPEST * spacing, _OUTLIER_SIGMAS * noise) * cloud[hard, 2].astype(np.float64) / focal_px
+        marked = np.zeros(isolated.shape, np.uint8)
+        marked.flat[hard] = 1
+        nearby = np.asarray(cv2.dilate(marked, np.ones((2 * window + 1, 2 * window + 1), np.uint8)))
+        around = np.flatnonzero(nearby.view(np.bool_))
+        around = around[planes.count.ravel()[around] > 0]
+        normals.reshape(-1, 3)[hard], isolated.flat[hard] = _neighbour_planes(cloud[hard], cloud[around], reach)
+    return SurfaceNormals(normals, isolated)
+
+
+def scattered_surface(points: NDArray[np.float32]) -> SurfaceNormals:
+    """Normals of points (H, W, 3) too sparse for windows, from their nearest neighbours; none counts as isolated."""
+    there = np.isfinite(points[..., 2])
+    normals = np.full_like(points, np.nan)
+    if there.any():
+        scattered = points[there]
+        normals[there] = _neighbour_planes(scattered, scattered, np.full(len(scattered), np.inf))[0]
+    return SurfaceNormals(normals, np.zeros(there.shape, dtype=np.bool_))
+
+
+def _typical(planes: WindowPlanes) -> tuple[float, float]:
+    """The median roughness of windows, in footprints, and their median number of points, from a sample."""
+    counts = planes.count.ravel()
+    step = max(1, int(np.count_nonzero(counts)) // _SAMPLE)
+    places = step * np.flatnonzero(counts[::step] > 0)
+    roughness, count = planes.roughness.ravel()[places], counts[places]
+    fitted = roughness[np.isfinite(roughness)]
+    return float(np.median(fitted)) if len(fitted) else 0.0, float(np.median(count))
+
+
+def _window_for(noise: float, count: float) -> int:
+    """The odd window size at which points this rough give normals accurate to `_WANTED_NORMAL_RAD`.
+
+    A line through n points spread evenly over w px has a slope that errs by noise √12 / (w √n); `count` is that of the
+    smallest window, n grows with w².
+    """
+    per_side = float(np.sqrt(count)) / _SMALLEST_WINDOW
+    width = float(np.sqrt(np.sqrt(12.0) * noise / (_WANTED_NORMAL_RAD * per_side)))
+    return int(np.clip(2 * round((width - 1) / 2) + 1, _SMALLEST_WINDOW, LARGEST_WINDOW))
+
+
+def _neighbour_planes(
+    points: NDArray[np.float32], cloud: NDArray[np.float32], reach: Floats
+) -> tuple[NDArray[np.float32], Bools]:
+    """Normals (M, 3) of `points` (M, 3) from their nearest neighbours in `cloud`, and which points have too few (M,).
+
+    Neighbours farther than `reach` (M,) are on another surface.
+    """
+    tree = scipy.spatial.cKDTree(cloud, balanced_tree=False, compact_nodes=False)
+    fitted = in_slices(len(points), _AT_A_TIME, lambda at: _fit_to_neighbours(tree, points[at], cloud, reach[at]))
+    normals, isolated = map(np.concatenate, zip(*fitted, strict=True))
+    return normals, isolated
+
+
+def _fit_to_neighbours(
+    tree: "scipy.spatial.cKDTree", points: NDArray[np.float32], cloud: NDArray[np.float32], reach: Floats
+) -> tuple[NDArray[np.float32], Bools]:
+    distance, index = tree.query(points, k=_NEIGHBOURS + 1)
+    near = (distance <= reach[:, None]).astype(np.float64)
+    offsets: Floats = cloud[np.minimum(index, len(cloud) - 1)].astype(np.float64) - points[:, None]
+    weight: Floats = near.sum(axis=1)
+    mean = np.einsum("mk,mki->mi", near, offsets) / np.maximum(weight, 1.0)[:, None]  # no neighbours within reach
+    centred = (offsets - mean[:, None]) * near[..., None]
+    spread, axes = np.linalg.eigh(np.matmul(centred.transpose(0, 2, 1), centred))
+    toward_camera = -points.astype(np.float64) / np.linalg.norm(points, axis=1, keepdims=True)
+    # Points on a line, or single ones, have no normal; they get the direction to the camera.
+    normals: Floats = np.where((spread[:, 1] > 0.01 * spread[:, 2])[:, None], axes[:, :, 0], toward_camera)
+    normals *= np.where(np.sum(normals * toward_camera, axis=1) < 0, -1.0, 1.0)[:, None]
+    isolated: Bools = weight < FEWEST_NEIGHBOURS + 1
+    return normals.astype(np.float32), isolated
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,13 @@ from calib.synthetic.captures import (
     PAPER_PROJECTOR,
     CaptureOptions,
     SyntheticCapture,
+    SyntheticPhotoOptions,
+    SyntheticPhotos,
     look_at,
     random_capture,
     random_captures,
+    random_photos,
 )
-from calib.synthetic.networks import SyntheticNetwork, random_network, with_turned_camera
-from calib.synthetic.photos import SyntheticPhotoOptions, SyntheticPhotos, random_photos
 from calib.synthetic.rooms import RoomOptions, SyntheticRoom, SyntheticStation, cast, random_room, random_waves
 from calib.synthetic.stations import (
     STATION_CAMERA,
@@ -19,8 +20,11 @@ from calib.synthetic.stations import (
     FurnishedRoom,
     Paint,
     StationCloud,
+    SyntheticNetwork,
     moved_rig,
     random_furnished_room,
+    random_network,
     ring,
     seen_from,
+    with_turned_camera,
 )

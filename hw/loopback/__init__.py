@@ -4,7 +4,7 @@ A virtual screen is the projector. A separate process serves a GigE Vision camer
 simulated room lit by that screen. The scanner cannot tell it from real devices.
 """
 
-from hw.loopback.exposure import LitRoom
+from hw.loopback.camera import LitRoom
 from hw.loopback.launcher import (
     CameraProcess,
     VirtualScreen,

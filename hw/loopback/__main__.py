@@ -13,8 +13,7 @@ from math import prod
 from pathlib import Path
 
 from hw.errors import DeviceError
-from hw.loopback.camera import LoopbackCamera
-from hw.loopback.exposure import LitRoom, RoomSensor
+from hw.loopback.camera import LitRoom, LoopbackCamera, RoomSensor
 from hw.loopback.screen import ScreenHistory, SeveralScreens, XwdScreen
 from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.loopback.webcam import MjpegServer, Webcam

@@ -8,12 +8,11 @@ is up, and the room is where all coordinates are positive.
 from hw.simulated.arrays import Light
 from hw.simulated.device import Optics, PlacedDevice
 from hw.simulated.illumination import ProjectorLight
-from hw.simulated.picture import PictureOptics, panel_homography
+from hw.simulated.picture import PictureOptics, Sensor, panel_homography
 from hw.simulated.placement import draw_camera_pose, look, look_at
 from hw.simulated.rig import Scenery, SimulatedCamera, SimulatedProjector
 from hw.simulated.room import DrawnRoom, draw_room
 from hw.simulated.scene import Label, Scene
-from hw.simulated.sensor import Sensor
 from hw.simulated.shapes import Block
 from hw.simulated.simulation import GroundTruth, SimulatedRoom, place_room, true_calibration
 from hw.simulated.texture import Texture, paint

@@ -3,6 +3,13 @@
 Let e be the irradiance of the solving nodes by indirect light, p a picture's pyramid, and D and G the matrices of
 `gather`. Then e = D p + G e contains all orders of reflection. I − G is factored once; a picture then costs one
 substitution.
+
+The sources of the light that reaches each node, found by casting rays from the node.
+
+Each node casts rays from its whole support, in directions distributed with the cosine to the normal. Every ray then
+carries the same share of the irradiance: the form factor to a surface is the share of rays that hit it (Malley's
+method; Cohen and Wallace, Radiosity and Realistic Image Synthesis, 1993, section 4.3). In a closed room the shares sum
+to one, so energy is conserved for any number of rays.
 """
 
 from dataclasses import dataclass
@@ -11,11 +18,149 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.spatial import cKDTree
 
-from calib.numerics import Bools, Floats, Ints
-from hw.simulated.arrays import Indices, Light
-from hw.simulated.gather import Gathered
+from calib.numerics import Bools, Floats, Ints, in_parallel
+from hw.simulated.arrays import Indices, Light, sparse_matrix
+from hw.simulated.illumination import ProjectorLight
 from hw.simulated.mesh import RadiosityMesh
+from hw.simulated.picture import PictureOptics
 from hw.simulated.scene import Scene
+from hw.simulated.texture import Texture
+
+_BATCH_RAYS = 1 << 15  # small enough for the arrays to stay in cache
+# A ray averages the picture over this multiple of the width of its part of the hemisphere. Overlapping footprints
+# prevent aliasing of fringes that should cancel. They blur a kernel of ninety degrees by about ten.
+_WIDENING = 3.0
+_LIFT_M = 1e-4  # distance of the start of a ray from its surface
+CEILING = 5  # the ceiling's number among the surfaces
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """Linear maps to the irradiance of nodes, one row per node.
+
+    `from_picture`: from a picture's pyramid, over one diffuse reflection. `from_nodes`: from the irradiance of the
+    solving nodes, over one reflection. `from_ceiling` (n,): irradiance per unit of radiosity emitted by the ceiling.
+    `exposed` (n,): nodes that are not covered by a solid; the rows of others are zero.
+    """
+
+    from_picture: sparse.csr_array
+    from_nodes: sparse.csr_array
+    from_ceiling: Light
+    exposed: Bools
+
+
+@dataclass(frozen=True)
+class Gatherer:
+    """Casts the rays of nodes and looks up the light where they hit."""
+
+    light: ProjectorLight
+    texture: Texture
+    picture: PictureOptics
+    mesh: RadiosityMesh
+
+    def gather(self, rays: int, rng: np.random.Generator) -> Gathered:
+        """The light of all nodes of the mesh, with `rays` rays per node."""
+        charts = (*self.mesh.solving, *self.mesh.creases)
+        surface = np.concatenate([np.full(chart.count, chart.surface, np.int32) for chart in charts])
+        support = np.concatenate([chart.support() for chart in charts])
+        shifts = rng.random((surface.size, 4))
+        batches = np.array_split(np.arange(surface.size), max(1, surface.size * rays // _BATCH_RAYS))
+        parts = in_parallel(lambda nodes: self._batch(surface[nodes], support[nodes], shifts[nodes], rays), batches)
+        return Gathered(
+            sparse.vstack([part.from_picture for part in parts], format="csr"),
+            sparse.vstack([part.from_nodes for part in parts], format="csr"),
+            np.concatenate([part.from_ceiling for part in parts]),
+            np.concatenate([part.exposed for part in parts]),
+        )
+
+    def _batch(self, surface: Ints, support: Floats, shifts: Floats, rays: int) -> Gathered:
+        scene = self.light.scene
+        origins, directions = self._rays(surface, support, shifts, rays)
+        node = np.repeat(np.arange(surface.size), rays)
+        free = np.flatnonzero(scene.is_free(origins))
+        origins, directions, node = origins[:, free], directions[:, free], node[free]
+        per_node = np.bincount(node, minlength=surface.size)
+        # A node counts as exposed only if enough of its rays start in free space.
+        exposed = per_node > rays / 8
+        share = np.where(exposed, 1 / np.maximum(per_node, 1), 0.0)[node]
+
+        t, met = scene.cast(origins, directions)
+        points = origins + t * directions
+        uv = scene.surface_coordinates(met, points)
+        reflected = share * self.texture.albedo(met, uv)
+
+        nodes, weights = self.mesh.interpolate_solving(met, uv)
+        texels, irradiance = self._direct(met, points, np.pi * t**2 / rays)
+        lit = np.flatnonzero(irradiance)
+        count = surface.size
+        return Gathered(
+            sparse_matrix(
+                node[lit], texels[lit, None], (reflected * irradiance)[lit, None], (count, self.picture.texel_count)
+            ),
+            self._between_nodes(node, nodes, weights * reflected[:, None], count),
+            np.bincount(node, share * (met == CEILING), count).astype(np.float32),
+            exposed,
+        )
+
+    def _between_nodes(self, node: Indices, nodes: Indices, weights: Floats, count: int) -> sparse.csr_array:
+        """Like `sparse_matrix`, by way of a full one: the rays of a node meet most solving nodes many times."""
+        solving = self.mesh.solving_count
+        place = node[:, None] * solving + nodes
+        full = np.bincount(place.ravel(), weights.ravel(), count * solving).astype(np.float32)
+        return sparse.csr_array(full.reshape(count, solving))
+
+    def _rays(self, surface: Ints, support: Floats, shifts: Floats, rays: int) -> tuple[Floats, Floats]:
+        """Origins and unit directions (3, nodes · rays), node by node."""
+        scene = self.light.scene
+        samples = (shifts[:, None, :] + _low_discrepancy(rays)) % 1.0
+        low, high = support[:, None, 0], support[:, None, 1]
+        uv = (low + samples[..., :2] * (high - low)).reshape(-1, 2).T
+        repeated = np.repeat(surface, rays)
+        origins = np.empty((3, repeated.size))
+        for number in np.unique(surface):
+            here = np.flatnonzero(repeated == number)
+            origins[:, here] = scene.points_on(int(number), uv[:, here])
+        normals = scene.normals(repeated, origins)
+        return origins + _LIFT_M * normals, _cosine_distributed(normals, samples[..., 2:].reshape(-1, 2).T)
+
+    def _direct(self, surface: Ints, points: Floats, area_m2: Floats) -> tuple[Indices, Floats]:
+        """Irradiance (n,) by the picture at points (3, n), and the texels (n,) that average it over areas (n,).
+
+        The areas are perpendicular to the rays. Slant at either end enlarges them by less than the widening factor.
+        """
+        optics = self.light.projector.optics
+        pixels, irradiance = self.light.direct(surface, points)
+        irradiance[~optics.sees(pixels)] = 0.0
+        texels = np.zeros(irradiance.size, np.int64)
+        lit = np.flatnonzero(irradiance)
+        footprint_px = _WIDENING * optics.focal_px * np.sqrt(area_m2[lit] * irradiance[lit])
+        texels[lit] = self.picture.texels(pixels[:, lit], footprint_px)
+        return texels, irradiance
+
+
+def _cosine_distributed(normals: Floats, uniform: Floats) -> Floats:
+    """Unit directions (3, n) about unit normals (3, n) from uniform numbers (2, n): Malley's method."""
+    steep = np.abs(normals[2]) > 0.9
+    aside = np.where(steep, np.array([[1.0], [0.0], [0.0]]), np.array([[0.0], [0.0], [1.0]]))
+    tangent = np.cross(normals, aside, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=0)
+    radius, angle = np.sqrt(uniform[0]), 2 * np.pi * uniform[1]
+    directions: Floats = (
+        radius * np.cos(angle) * tangent
+        + radius * np.sin(angle) * np.cross(normals, tangent, axis=0)
+        + np.sqrt(1 - uniform[0]) * normals
+    )
+    return directions
+
+
+def _low_discrepancy(count: int) -> Floats:
+    """Evenly spread samples, (count, 4) in [0, 1): two for the position in the node's support, two for the direction.
+
+    Directions form a Fibonacci lattice. Positions are the R2 sequence of Roberts (2018), with the root of x³ = x + 1.
+    """
+    plastic, golden = 1.324717957244746, 1.618033988749895
+    k = np.arange(count)
+    return np.stack([k / plastic % 1, k / plastic**2 % 1, (k + 0.5) / count, k / golden % 1], axis=1)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ from hw.simulated.arrays import Light
 from hw.simulated.board import draw_board
 from hw.simulated.device import PlacedDevice
 from hw.simulated.footprints import FootprintCaster, Footprints, samples_per_pixel
-from hw.simulated.gather import Gatherer
 from hw.simulated.illumination import ProjectorLight
-from hw.simulated.interreflection import Interreflection, solve
+from hw.simulated.interreflection import Gatherer, Interreflection, solve
 from hw.simulated.mesh import build_mesh
 from hw.simulated.motion import rotation_homography
 from hw.simulated.picture import PictureOptics

@@ -10,11 +10,17 @@ import numpy as np
 from hw.errors import DeviceError
 from hw.settings import SimulatedRigSettings
 from hw.simulated.device import PlacedDevice
-from hw.simulated.furniture import draw_corner_box, draw_furniture, draw_second_sphere, overlap
 from hw.simulated.placement import RigGeometry, draw_camera_pose, draw_rig, look, zoomed
 from hw.simulated.scene import Label, Scene
 from hw.simulated.shapes import Ball, Block
-from hw.simulated.whole_room import WholeRoom, draw_whole_room
+from hw.simulated.whole_room import (
+    WholeRoom,
+    draw_corner_box,
+    draw_furniture,
+    draw_second_sphere,
+    draw_whole_room,
+    overlap,
+)
 
 _ATTEMPTS = 3000
 _FURNITURE_ATTEMPTS = 300

@@ -15,10 +15,10 @@ from hw.simulated.arrays import Light
 from hw.simulated.device import Optics, PlacedDevice
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.motion import box_in, offset_px, person_in, turned
+from hw.simulated.picture import build_sensor
 from hw.simulated.placement import resized
 from hw.simulated.renderer import Renderer, build_renderer, has_indirect_light
 from hw.simulated.room import DRAWN_BY, DrawnRoom, draw_room
-from hw.simulated.sensor import build_sensor
 
 # Stream of random numbers for paint and rays; `draw_room` uses streams from 0.
 _RENDERING_STREAM = 100

@@ -2,6 +2,6 @@
 
 from hw.timing.devices import ATTEMPTS, TRIGGER_LAG_S, Swap, nothing, whole_periods
 from hw.timing.frame_reader import Arrival, FrameReader
-from hw.timing.streamed_rig import StreamedRig, streamed
+from hw.timing.streaming import StreamedRig, streamed
 from hw.timing.synchronisation import SynchronisedRig, synchronised
 from hw.timing.timed_rig import MOST_AHEAD, TimedRig

@@ -12,8 +12,7 @@ import numpy as np
 from calib.numerics import Floats, Image
 from hw.errors import DeviceError, FrameLostError
 from hw.rig import Frames
-from hw.timing.camera_group import CameraGroup
-from hw.timing.devices import ATTEMPTS, BufferedProjector, Swap
+from hw.timing.devices import ATTEMPTS, BufferedProjector, CameraGroup, Swap
 from hw.timing.verification import RestingLight
 
 LONGEST_LATENCY_S = 0.3

@@ -6,7 +6,7 @@
 
 An exposure must fit between the latest light of its picture and the earliest light of the next one. Both follow from
 the measured times of the swaps. A frame counts if it was triggered in time, if the camera's clock agrees, and if it
-passes verification by complementary sums (`complementary_sums.py`) or parity (`parity_check.py`). A missed picture is
+passes verification by complementary sums or parity (`redundancy.py`). A missed picture is
 shown again behind those on their way. After many misses the next ones are taken at rest, more each time. The period
 adapts to the jitter of the last frames (`trigger_schedule.py`). With the pace `AT_REST` all frames are taken at rest:
 they are verified and repeated alike, because a window system may show a picture late.
@@ -20,10 +20,8 @@ from contextlib import suppress
 from calib.numerics import Image
 from hw.errors import DeviceError, FrameLostError
 from hw.rig import NO_REDUNDANCY, Frames, Redundancy
-from hw.timing.camera_group import CameraGroup
-from hw.timing.complementary_sums import ComplementarySums
-from hw.timing.devices import ATTEMPTS, BufferedProjector
-from hw.timing.parity_check import WithParity, with_parity
+from hw.timing.devices import ATTEMPTS, BufferedProjector, CameraGroup
+from hw.timing.redundancy import ComplementarySums, WithParity, with_parity
 from hw.timing.sequential import SequentialAcquisition
 from hw.timing.timed_rig import Tally
 from hw.timing.trigger_schedule import Pace, TriggerJitter, TriggerSchedule

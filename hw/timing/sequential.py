@@ -16,8 +16,7 @@ from itertools import chain, count, cycle
 from calib.numerics import Image
 from hw.errors import DeviceError, FrameLostError
 from hw.rig import Frames
-from hw.timing.camera_group import CameraGroup
-from hw.timing.devices import ATTEMPTS, BufferedProjector
+from hw.timing.devices import ATTEMPTS, BufferedProjector, CameraGroup
 from hw.timing.latency import LOST_ADVICE
 from hw.timing.timed_rig import Tally
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from calib.numerics import Floats, Image
 from hw.errors import DeviceError
-from hw.timing.complementary_sums import ComplementarySums
 from hw.timing.devices import FlippingProjector, StreamingCamera
 from hw.timing.frame_reader import Arrival
+from hw.timing.redundancy import ComplementarySums
 from hw.timing.verification import RestingLight
 
 _BANDS = 8  # of rows: a rolling shutter mixes two pictures in some of them

@@ -3,23 +3,26 @@
 Complementary sums and parity verify that a frame shows its picture and not one that waited in a queue
 (`verification.py`). Such pictures are pipelined. A missed picture, frames that fail verification, and pictures that
 nothing verifies are taken at rest.
+
+A rig of a streaming camera and a projector that is a screen.
 """
 
 import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass, field
 from itertools import cycle
 
 import numpy as np
 
 from calib.numerics import Image
 from hw.errors import DeviceError
-from hw.rig import NO_REDUNDANCY, Frame, Redundancy, exposure_control
+from hw.rig import NO_REDUNDANCY, Frame, Frames, Redundancy, exposure_control
 from hw.timing.devices import ATTEMPTS, FlippingProjector, StreamingCamera
-from hw.timing.parity_check import with_parity
+from hw.timing.redundancy import with_parity
 from hw.timing.stable_frames import StableFrames
-from hw.timing.stream_calibration import StreamTiming
-from hw.timing.timed_rig import Appearance, Tally, appearance, changes, is_another_view, reference_picture
+from hw.timing.stream_calibration import StreamTiming, calibrate_stream
+from hw.timing.timed_rig import Appearance, Tally, TimedRig, appearance, changes, is_another_view, reference_picture
 from hw.timing.verification import FrameVerification, Group, NumberedPictures, RestingLight
 
 log = logging.getLogger(__name__)
@@ -174,3 +177,69 @@ class StreamAcquisition:
                 self._unfounded += 1
                 break
         verification.settle(group)
+
+
+@dataclass(eq=False, kw_only=True)
+class StreamedRig(TimedRig):
+    """A rig with a streaming camera, which takes stable frames."""
+
+    lost_advice = "Send smaller or fewer frames, by cable where there is one."
+
+    streaming: StreamingCamera
+    timing: StreamTiming
+    rest: RestingLight
+    acquisition: StreamAcquisition
+    _lost_before: tuple[int, int] = field(default=(0, 0), init=False)
+    """Counts of repeated and dropped frames at the begin of the last capture."""
+
+    @property
+    def least_s(self) -> float:
+        """Latency and two frame periods, the time of a single picture; pipelined pictures can take less."""
+        return self.timing.soonest_s + 2 * self.timing.period_s
+
+    def account(self) -> Mapping[str, object]:
+        """As for every timed rig, and automatic changes of the camera."""
+        changed = {"after_white_percent": round(100 * self.timing.adapted, 1), **self.acquisition.changes}
+        return {**super().account(), "camera_changed": changed}
+
+    def _measured(self) -> Mapping[str, object]:
+        reader = self.streaming.reader
+        return {
+            "frame_period_ms": round(1e3 * self.timing.period_s, 2),
+            "missed_in_flight": self.acquisition.stable_frames.missed,
+            "doubted_frames": self.acquisition.doubted,
+            "repeated_frames": reader.repeated - self._lost_before[0],
+            "dropped_frames": reader.dropped - self._lost_before[1],
+            "averaged_frames": self.streaming.average,
+        }
+
+    def _acquired(
+        self, images: Iterable[Image], exposures_us: Sequence[float], redundancy: Redundancy
+    ) -> Iterator[Frames]:
+        reader = self.streaming.reader
+        self._lost_before = reader.repeated, reader.dropped
+        return ((frame,) for frame in self.acquisition.frames(images, exposures_us, redundancy))
+
+
+def streamed(
+    projector: FlippingProjector, camera: StreamingCamera, identity: dict[str, str], refresh_hz: float | None = None
+) -> StreamedRig:
+    """Calibrate the latency, which takes about seven seconds, and return the rig.
+
+    Raises DeviceError if the camera does not see the projector, is frozen, or delivers nothing.
+    """
+    timing, rest = calibrate_stream(projector, camera)
+    acquisition = StreamAcquisition(projector, camera, timing, rest)
+    known = identity | {"light after a flip": f"{1e3 * timing.soonest_s:.1f} ms (measured, with the camera's delay)"}
+    return StreamedRig(
+        projector,
+        camera,
+        known,
+        refresh_hz,
+        latency_s=timing.soonest_s,
+        tally=acquisition.tally,
+        streaming=camera,
+        timing=timing,
+        rest=rest,
+        acquisition=acquisition,
+    )

@@ -14,8 +14,7 @@ import numpy as np
 from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Frames, Redundancy, Rig
-from hw.timing.camera_group import CameraGroup
-from hw.timing.devices import TRIGGER_LAG_S, BufferedProjector, TriggeredCamera
+from hw.timing.devices import TRIGGER_LAG_S, BufferedProjector, CameraGroup, TriggeredCamera
 from hw.timing.latency import LONGEST_LATENCY_S, LOST_ADVICE, Latency, LatencyCalibration
 from hw.timing.pipelined import PipelinedAcquisition
 from hw.timing.sequential import SequentialAcquisition, Timing

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from math import ceil, inf, isfinite
 
 from calib.numerics import Image
-from hw.timing.camera_group import CameraGroup
-from hw.timing.devices import BufferedProjector, Swap
+from hw.timing.devices import BufferedProjector, CameraGroup, Swap
 from hw.timing.latency import Latency
 
 _STILL_THERE = 2

@@ -15,8 +15,7 @@ from calib.numerics import Bools, Floats, Image, grey
 from hw.cameras import NamedCamera
 from hw.errors import DeviceError, OverexposedError
 from hw.rig import Frame
-from hw.timing.complementary_sums import ComplementarySums, complementary_sums
-from hw.timing.parity_check import mixed_share, odd_share
+from hw.timing.redundancy import ComplementarySums, complementary_sums, mixed_share, odd_share
 
 _LEAST_TOLERANCE = 0.005  # share of the light: with a fringe of 16 px in 8 steps, a hundredth of a projector pixel
 _BANDS = 8  # of the image, from top to bottom
@@ -120,7 +119,7 @@ class FrameVerification:
     """Verifies frames of one camera or several, for each of which there is one of `sums`.
 
     Frames form groups of picture numbers: `level` groups sum to uniform light, `even` groups light every
-    place an even number of times (`hw/timing/parity_check.py`). `judged`: groups that can be judged and are still open.
+    place an even number of times (`hw/timing/redundancy.py`). `judged`: groups that can be judged and are still open.
     """
 
     def __init__(

@@ -1,8 +1,7 @@
 """Many captures, on all processors of this machine or, through Dask, of many; a row of a table for each."""
 
-from scanner.batch.cluster import DaskWorkers, dask_workers, refuse_without_dask
 from scanner.batch.listing import BatchJob, BatchRequest, list_jobs
-from scanner.batch.processes import Processes
 from scanner.batch.rows import BatchRow
 from scanner.batch.running import Batch, Workers, run_batch
 from scanner.batch.work import Delivery, work
+from scanner.batch.workers import DaskWorkers, Processes, dask_workers, refuse_without_dask

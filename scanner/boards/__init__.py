@@ -8,7 +8,6 @@ from scanner.boards.calibrate import (
     read_folders,
 )
 from scanner.boards.live import capture_boards, check_live
-from scanner.boards.page import verdict_on
 from scanner.boards.printing import draw_target, printed_target, write_pdf
-from scanner.boards.result import save_result, summary
+from scanner.boards.result import save_result, summary, verdict_on
 from scanner.targets import KINDS, Target, parse_target

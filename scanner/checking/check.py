@@ -11,15 +11,13 @@ from hw.rig import Frame, Rig
 from scanner.capture import capture
 from scanner.checking import view
 from scanner.checking.devices import device_rows, opened, transfer_rows
+from scanner.checking.document import contrast_picture, coverage_picture, saturation_picture
 from scanner.checking.exposure import exposure_row, propose_exposure
-from scanner.checking.focus import LONG_PERIOD_PX, period_for, sample_blur, separate_lenses
-from scanner.checking.focus_row import finest_period_px, focus_row
+from scanner.checking.focus import LONG_PERIOD_PX, finest_period_px, focus_row, period_for, sample_blur, separate_lenses
 from scanner.checking.fringes import STEPS, FringeMeter
 from scanner.checking.light import Light, light_rows, photograph_light, settled
-from scanner.checking.pictures import contrast_picture, coverage_picture, saturation_picture
-from scanner.checking.pixels import pixel_row
 from scanner.checking.report import CheckReport, OnRow
-from scanner.checking.response import measure_ramp, response_row
+from scanner.checking.response import measure_ramp, pixel_row, response_row
 from scanner.checking.steadiness import InitialState, Levels, levels_of, patterns, steadiness_row
 from scanner.configuration import Config
 from scanner.decoding import MaskReason

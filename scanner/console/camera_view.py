@@ -11,8 +11,7 @@ from viser import uplot
 from hw.backends import RigSettings
 from hw.rig import Frame, Rig, settable_exposure
 from hw.settings import CameraRigSettings
-from scanner.console.large_image import LargeImage, Shown
-from scanner.console.picture import HISTOGRAM_BINS, exposed, histogram, sharpness, shown
+from scanner.console.picture import HISTOGRAM_BINS, LargeImage, Shown, exposed, histogram, sharpness, shown
 from scanner.console.settings import IdlePicture
 from scanner.quantities import percent
 from scanner.rendering import Pixels, jpeg_uri

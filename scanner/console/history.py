@@ -10,8 +10,17 @@ from typing import Any
 import viser
 
 from scanner.comparing import COMPARE_PAGE, compare_files, comparison_verdict, headings, rows, write_compare_page
-from scanner.console.results import card_of, changes_s, earlier_results, note_of
-from scanner.console.shelf import bin_result, last_binned, rename_result, restore_result, write_note
+from scanner.console.results import (
+    bin_result,
+    card_of,
+    changes_s,
+    earlier_results,
+    last_binned,
+    note_of,
+    rename_result,
+    restore_result,
+    write_note,
+)
 from scanner.console.texts import card_html
 from scanner.results import CALIBRATION_FILE
 from scanner.shown_text import harmless

@@ -13,10 +13,10 @@ from scanner.console.camera_view import CameraView
 from scanner.console.check_view import CheckView
 from scanner.console.configuration_view import ConfigurationView
 from scanner.console.history import History
-from scanner.console.large_image import LargeImage
 from scanner.console.live_view import LiveView
 from scanner.console.network_view import NetworkView
 from scanner.console.operating import Operating
+from scanner.console.picture import LargeImage
 from scanner.console.settings import ConsoleSettings
 from scanner.console.worker import Activity, Status, Worker
 from scanner.interruption import finishing

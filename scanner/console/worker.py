@@ -1,22 +1,24 @@
-"""The thread that owns the rig, and does one thing at a time: live image, check, or scan."""
+"""The thread that owns the rig, and does one thing at a time: live image, check, or scan.
+
+The operator at the page: learns what captures add, and is asked to move the rig between them.
+"""
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import count
 from math import inf
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from threading import Event, Lock, Thread
 from typing import Any, Protocol
 
 from hw.errors import FrameLostError
 from hw.rig import Frame, Rig, settable_exposure
 from scanner.checking import CheckReport, CheckRow, check_configured_rig, opened
-from scanner.console.asking import PageOperator
 from scanner.console.progress import CancelledError, ProgressStep, StagedProgress, durations_in
 from scanner.console.results import SCANS, newest_calibration, newest_result
 from scanner.console.settings import ConsoleSettings, drawn
@@ -27,11 +29,50 @@ from scanner.networks import KnownDistance, Pair, PairProgress, scan_network
 from scanner.results import LOG_FILE, Scan
 from scanner.ui import failure_of
 
+_LOOKED_EVERY_S = 0.2
 log = logging.getLogger(__name__)
 
 _FRAME_S = 0.2  # no more live frames than this: a page and a network have to keep up
 _TURN_S = 2.0  # of one camera after another
 _LEAVING_S = 30.0
+
+
+class PageOperator:
+    """A `scanner.ui.Operator`. `on_asked` receives the message and the question ('' for none)."""
+
+    can_ask = True
+
+    def __init__(self, cancelled: Event, on_asked: Callable[[tuple[str, ...], str], None]) -> None:
+        self._cancelled, self._on_asked = cancelled, on_asked
+        self._sentences: tuple[str, ...] = ()
+        self._answers: SimpleQueue[bool] = SimpleQueue()
+
+    def tell(self, *sentences: str) -> None:
+        """Show a message until the next one."""
+        self._sentences = sentences
+        self._on_asked(sentences, "")
+
+    def note(self, text: str) -> None:
+        """Show it as well."""
+        self.tell(*self._sentences, text)
+
+    def ready(self, what: str) -> bool:
+        """Wait for one of two buttons. Raises CancelledError."""
+        while not self._answers.empty():
+            self._answers.get()  # of buttons that were pressed twice
+        self._on_asked(self._sentences, what)
+        while not self._cancelled.is_set():
+            try:
+                more = self._answers.get(timeout=_LOOKED_EVERY_S)
+            except Empty:
+                continue
+            self.tell()
+            return more
+        raise CancelledError("cancelled")
+
+    def answer(self, *, more: bool) -> None:
+        """A button was pressed."""
+        self._answers.put(more)
 
 
 class Activity(StrEnum):

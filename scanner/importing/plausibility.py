@@ -2,6 +2,11 @@
 
 Wrong orders decode to numbers like any others. But in the right one neighbours see neighbouring projector pixels, the
 map from camera to projector is not mirrored, and all of it obeys one epipolar geometry.
+
+Whether a Gray code along one axis is consistent in an order, without a second axis.
+
+Adjacent cells of the projector are adjacent on a surface. In a wrong order, or with another code, adjacent pixels still
+differ in one bit, but their cells are far apart.
 """
 
 from collections.abc import Sequence
@@ -15,7 +20,7 @@ from calib.numerics import Bools, Floats
 from scanner.importing.coarse_coordinates import Coordinates, Mismatch, contrasts_of_bits, coordinates
 from scanner.importing.samples import LevelSamples
 from scanner.importing.unwrapping import PLACES_OF_CYCLE
-from scanner.patterns import Axis, Black, Pattern, White
+from scanner.patterns import Axis, Black, Gray, Pattern, White
 
 _FEWEST = 200
 _AXES: tuple[Axis, ...] = ("x", "y")
@@ -29,6 +34,11 @@ _MOST_FITTED = 3000
 _NEAR = 4.0  # of epipolar lines, in the units of the coordinates, which need not be pixels
 _MOST_JUMPS = 0.2
 _AS_CLOSE = 1.5
+# Pixels at the edge of a stripe are undecided; this is the distance of the decided ones on either side.
+_MOST_APART_PX = 8
+_FEWEST_CHANGES = 30
+# Tolerances in cells, or as shares of all cells: errors of the finest bits, and cells skipped by large pixels.
+_NEAR_CELLS, _NEAR_SHARE = 4, 1 / 64
 
 
 class OrderStage(IntEnum):
@@ -200,3 +210,33 @@ def share_on_epipolar_lines(camera_px: Floats, projector_px: Floats) -> float:
     cv2.setRNGSeed(0)
     _, near = cv2.findFundamentalMat(camera_px[chosen], projector_px[chosen], cv2.USAC_MAGSAC, _NEAR, 0.999, 2000)
     return 0.0 if near is None else float(np.mean(near > 0))
+
+
+def broken_order(lines: LevelSamples, patterns: Sequence[Pattern], axis: Axis) -> str | None:
+    """Return what contradicts patterns along one axis, tested on rows or columns across the stripes; None if nothing
+    does.
+
+    Fringes alone cannot be tested.
+    """
+    bits = max((p.bits for p in patterns if isinstance(p, Gray) and p.axis == axis), default=0)
+    if not bits:
+        return None
+    code = coordinates(lines, patterns, axis)
+    if isinstance(code, Mismatch):
+        return code.words
+    if code is None:
+        return None
+    number, certain = ((part if axis == "x" else part.T) for part in (code.values.astype(np.int64), code.certain))
+    place = np.flatnonzero(certain)
+    row, column = np.divmod(place, certain.shape[1])
+    beside = (np.diff(row) == 0) & (np.diff(column) <= _MOST_APART_PX)
+    number = number.ravel()[place]
+    word = number ^ number >> 1
+    cells, changed = np.abs(np.diff(number))[beside], (word[1:] ^ word[:-1])[beside]
+    near = max(_NEAR_CELLS, _NEAR_SHARE * (1 << bits))
+    for bit in range(bits):
+        of_bit = cells[changed >> bits - 1 - bit & 1 == 1]
+        if len(of_bit) >= _FEWEST_CHANGES and np.median(of_bit) > near:
+            apart = f"bit {bit} of {axis} are {np.median(of_bit):.0f} cells apart"
+            return f"no Gray code in an order that is known: pixels beside each other that differ in {apart}"
+    return None

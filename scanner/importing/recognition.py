@@ -9,7 +9,6 @@ from calib.geometry import Matches
 from calib.refusal import RefusalError
 from scanner.decoding import Decoder, MaskReason
 from scanner.errors import InputError
-from scanner.importing.continuity import broken_order
 from scanner.importing.frame_files import FrameFiles, read_frame
 from scanner.importing.incomplete import MISSING_ENDS, without_duplicates, without_ends
 from scanner.importing.layout import MOST_FRAMES, Candidate, FrameLayout, Given, Size, candidates
@@ -17,6 +16,7 @@ from scanner.importing.plausibility import (
     Objection,
     OrderStage,
     best_fitting,
+    broken_order,
     faint_bits,
     objection,
     share_on_epipolar_lines,

@@ -5,5 +5,4 @@ from scanner.live.first_look import FirstLook, look
 from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
 from scanner.live.rounds import best_sequence, take_rounds
 from scanner.live.sequence import FRAMES, LiveSequence
-from scanner.live.texts import account_text, result_texts, round_texts
-from scanner.live.watching import Account, Newest, proven, watch
+from scanner.live.watching import Account, Newest, account_text, proven, result_texts, round_texts, watch

@@ -26,8 +26,7 @@ from scanner.live.given_calibration import find_change_live
 from scanner.live.joining import joining, keep_station
 from scanner.live.rounds import best_sequence, take_rounds
 from scanner.live.sequence import LiveSequence
-from scanner.live.texts import cloud_text
-from scanner.live.watching import Account, watch
+from scanner.live.watching import Account, cloud_text, watch
 from scanner.reconstruction import scaled
 from scanner.results import CAPTURES_FOLDER, Decoded, new_result
 from scanner.stations import given_rig

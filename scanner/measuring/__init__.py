@@ -1,15 +1,18 @@
 """Spheres, faces and distances measured in the cloud of a result."""
 
-from scanner.measuring.acceptance import Acceptance, Error, errors_of, parse_ball_bar
-from scanner.measuring.acceptance_report import (
+from scanner.measuring.acceptance import (
     ACCEPTANCE_FILE,
     ACCEPTANCE_PAGE,
+    Acceptance,
+    Error,
     acceptance_findings,
+    errors_of,
+    parse_ball_bar,
     summary_table,
     write_acceptance,
     write_acceptance_page,
 )
-from scanner.measuring.document import MEASURE_FILE, write_document
+from scanner.measuring.document import MEASURE_FILE, angle_cells, shares_table, tables, write_document
 from scanner.measuring.figure import FIGURE_FILE, write_figure
 from scanner.measuring.measure import PixelPlace, measure, measure_pixels, read_scene
 from scanner.measuring.measurements import (
@@ -17,16 +20,15 @@ from scanner.measuring.measurements import (
     DistanceMeasurement,
     FaceMeasurement,
     MeasuredScene,
+    rig_errors,
 )
-from scanner.measuring.network_points import NetworkPoints, has_matches
-from scanner.measuring.placed_points import PlacedPoints, PointNumber
+from scanner.measuring.placed_points import NetworkPoints, PlacedPoints, PointNumber, has_matches
 from scanner.measuring.planes import measure_scene, one_in_each_cell, sample_cells
-from scanner.measuring.scene_errors import rig_errors
-from scanner.measuring.section_files import (
+from scanner.measuring.sections import (
     SECTION_FILES,
+    Contour,
+    cut,
     write_section_dxf,
     write_section_svg,
     write_section_table,
 )
-from scanner.measuring.sections import Contour, cut
-from scanner.measuring.table import angle_cells, shares_table, tables

@@ -20,8 +20,14 @@ from calib.diagnostics import (
 from calib.geometry import Calibration, Matches, Size, intersect
 from calib.numerics import Floats, Ints, blocks
 from calib.pointcloud import NONE, FittedPlane, dihedral_angle_rad, dihedral_gradients, fit_plane
-from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, FitErrors, MeasuredScene
-from scanner.measuring.scene_errors import known_lengths, rig_errors
+from scanner.measuring.measurements import (
+    AngleMeasurement,
+    FaceMeasurement,
+    FitErrors,
+    MeasuredScene,
+    known_lengths,
+    rig_errors,
+)
 from scanner.quantities import FACE_NAMES
 from scanner.rendering import cells_over, one_in_cells
 

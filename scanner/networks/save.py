@@ -11,8 +11,7 @@ from calib.pointcloud import MergedCloud, colours_of
 from scanner.configuration import Config
 from scanner.io import MATCHES_FILE, write_matches, write_room, write_room_ply
 from scanner.networks.captures import folder_of
-from scanner.networks.graph import network_graph
-from scanner.networks.sights import PairProgress
+from scanner.networks.sights import PairProgress, network_graph
 from scanner.networks.solve import SolvedNetwork
 from scanner.networks.verdict import verdict_on
 from scanner.quantities import shown_unit

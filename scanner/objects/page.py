@@ -12,7 +12,7 @@ from scanner.quantities import percent, shown_unit
 from scanner.rendering import page, render, view_along
 from scanner.reporting import VIEWER, PageImage, ScaledMap, extent_row, files_beside, picture
 from scanner.results import OBJECT, Provenance
-from scanner.rooms.page_parts import (
+from scanner.rooms.page import (
     HALF_PX,
     Cell,
     camera_frusta,

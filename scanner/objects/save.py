@@ -21,7 +21,7 @@ from scanner.results import (
     pose_error_entries,
     provenance,
 )
-from scanner.rooms.station_files import outlier_entries, station_entries, write_stations, write_textured
+from scanner.rooms.save import outlier_entries, station_entries, write_stations, write_textured
 from scanner.ui import Progress
 
 

@@ -15,11 +15,11 @@ from scanner.patterns.pattern import (
     count_bits,
     draw,
     gray_sequence,
+    in_square_pixels,
     phase_sequence,
     sequence_for,
     xor_sequence,
 )
-from scanner.patterns.pixel_shape import in_square_pixels
 from scanner.patterns.projector_response import ProjectorResponse
 from scanner.patterns.redundancy import level_groups, unpaired_bits
 from scanner.patterns.sequence_file import (

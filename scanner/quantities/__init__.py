@@ -3,16 +3,18 @@
 from scanner.quantities.calibration_numbers import (
     FACE_NAMES,
     Quantity,
+    calibration_table,
     device_names,
     device_quantities,
+    empty_table,
     intrinsic_errors_percent,
     percent,
     plain,
     pose_quantities,
     relative_focal_sigmas,
     rig_quantities,
+    truth_line,
 )
-from scanner.quantities.calibration_table import calibration_table, empty_table, truth_line
 from scanner.quantities.units import (
     METRES,
     UNKNOWN_UNIT,

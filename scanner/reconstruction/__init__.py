@@ -1,12 +1,18 @@
 """Captures → calibration → clouds → files."""
 
-from scanner.reconstruction.calibrate import calibrate, label, refuse_few, refuse_impossible, solve
-from scanner.reconstruction.earlier_captures import read_captures
-from scanner.reconstruction.face_masks import label_by_masks, read_masks
+from scanner.reconstruction.calibrate import (
+    calibrate,
+    label,
+    label_by_masks,
+    read_masks,
+    refuse_few,
+    refuse_impossible,
+    solve,
+)
+from scanner.reconstruction.earlier_captures import read_captures, shifts_of
 from scanner.reconstruction.guidance import Guidance, guide
 from scanner.reconstruction.merge_clouds import brightness, consistency, merge
 from scanner.reconstruction.metric_scale import scaled, scaled_by_sheet
-from scanner.reconstruction.moved_captures import shifts_of
 from scanner.reconstruction.priors import is_calibration, lenses_by_name, lenses_of
 from scanner.reconstruction.reconstruct import OnCloud, reconstruct
 from scanner.reconstruction.save import refusal_saved, save, set_aside

@@ -11,7 +11,7 @@ from calib.pointcloud import CloudStatistics, build_cloud
 from calib.refusal import RefusalError
 from calib.scene import find_change
 from scanner.decoding import Decoding, MaskReason
-from scanner.reconstruction.moved_captures import refuse_moved
+from scanner.reconstruction.earlier_captures import refuse_moved
 from scanner.results import Calibrated, Decoded, GivenCalibration, Reconstructed, Stage, naming
 from scanner.ui import Progress
 

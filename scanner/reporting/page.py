@@ -11,12 +11,10 @@ from scanner.quantities import plain
 from scanner.rendering import page
 from scanner.reporting import sections
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.flatness import flatness
 from scanner.reporting.focal import focal_length
-from scanner.reporting.joint import joint_rows, merged_views
-from scanner.reporting.residuals import face_residuals, misses
+from scanner.reporting.residuals import face_residuals, flatness, misses
 from scanner.reporting.sections import FacesPicture, PageImage
-from scanner.reporting.uncertainty import point_sigmas
+from scanner.reporting.uncertainty import joint_rows, merged_views, point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
 from scanner.results import CORNER

@@ -1,4 +1,7 @@
-"""Residuals of the matches: maps, histograms, and whether they are random or systematic."""
+"""Residuals of the matches: maps, histograms, and whether they are random or systematic.
+
+Flatness of the faces and the angles between them, measured on the points themselves.
+"""
 
 from dataclasses import dataclass
 
@@ -10,7 +13,8 @@ from calib.diagnostics import SpatialCorrelation, spatial_correlation
 from calib.geometry import Calibration, Corner, Matches, Size
 from calib.numerics import Floats, Ints
 from calib.pointcloud import Cloud, CloudStatistics
-from scanner.quantities import percent
+from scanner.measuring import AngleMeasurement, FaceMeasurement, angle_cells
+from scanner.quantities import fine_unit, percent
 from scanner.rendering import LONGEST_SIDE
 from scanner.reporting import maps, plots
 from scanner.reporting.contents import ReportInput
@@ -20,6 +24,7 @@ from scanner.reporting.sections import LegendEntry, ScaledMap, picture
 _CELL_OF_WIDTH = 1 / 64
 _HALF_PAGE = 480
 _SHOWN_SHARE = 99
+_MAP_SIDE = 640
 
 
 @dataclass(frozen=True)
@@ -145,3 +150,49 @@ def _outcome_legend(statistics: CloudStatistics) -> tuple[LegendEntry, ...]:
     )
     total = max(1, statistics.matched)
     return tuple(LegendEntry("", label, f"{count:,} ({percent(count / total)})") for label, count in rows if count)
+
+
+@dataclass(frozen=True)
+class FlatnessRow:
+    """A face as text: its name, flatness with its sigma, and the band that 99.7 % of its points are in."""
+
+    name: str
+    cells: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Flatness:
+    """`map`: distances from the faces' planes over the camera's image; `unit`: of the rows; `angles`: pairs and degrees
+    as text.
+    """
+
+    map: ScaledMap
+    unit: str
+    rows: tuple[FlatnessRow, ...]
+    angles: tuple[tuple[str, str], ...]
+
+
+def flatness(report: ReportInput) -> Flatness | None:
+    """The faces; None without a calibration or labelled faces."""
+    scene, reconstructed = report.scene, report.reconstructed
+    if scene is None or reconstructed is None or not scene.faces:
+        return None
+    unit = fine_unit(reconstructed.calibration.unit)
+    rows = tuple(
+        FlatnessRow(face.name, (unit.measured(face.deviation, face.budget.sigma), unit.number(face.errors.form)))
+        for face in scene.faces
+    )
+    painted = _flatness_map(scene.faces, report.metadata.camera_size, report.cell_px, unit.factor, unit.name)
+    return Flatness(painted, unit.name, rows, tuple(map(_shown, scene.angles)))
+
+
+def _flatness_map(faces: tuple[FaceMeasurement, ...], size: Size, step: int, factor: float, unit: str) -> ScaledMap:
+    off: Floats = factor * np.concatenate([face.errors.residual for face in faces])
+    pixel = np.concatenate([face.errors.pixel for face in faces])
+    grid = maps.on_grid(pixel, off, size, step)
+    painted, scale = maps.signed_map(grid, float(np.percentile(np.abs(off), _SHOWN_SHARE)) or 1e-6, unit, _MAP_SIDE)
+    return ScaledMap(picture(painted, "distances of the faces' points from their planes"), scale)
+
+
+def _shown(angle: AngleMeasurement) -> tuple[str, str]:
+    return "–".join(angle.faces), " ".join(angle_cells(angle))

@@ -1,4 +1,6 @@
-"""The uncertainty of depth: its standard deviation over the camera's image, and the cost of an assumption."""
+"""The uncertainty of depth: its standard deviation over the camera's image, and the cost of an assumption; of several
+captures of one rig, the contribution of each, and their common cloud.
+"""
 
 from dataclasses import dataclass
 
@@ -11,13 +13,19 @@ from calib.pointcloud import NONE
 from calib.refinement import CAMERA, PROJECTOR
 from calib.self_calibration import SelfCalibration
 from scanner.quantities import plain
-from scanner.rendering import cells_over, one_in_cells
+from scanner.rendering import cells_over, one_in_cells, render, standard_views
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.sections import ScaledMap, picture
+from scanner.reporting.sections import PageImage, ScaledMap, picture, view
 
 # Sigmas vary smoothly over the image, so this many samples suffice for the map.
 _SAMPLES = 10_000
+_VIEW_SIZE = (960, 640)
+_UP = np.array([0.0, 0.0, 1.0])
+_CAPTIONS = {
+    "oblique": "All captures in one, from the side and above.",
+    "top": "From above: a wall that appears twice would mean that the captures do not fit.",
+}
 
 
 @dataclass(frozen=True)
@@ -83,3 +91,44 @@ def effect_of_principal_point(solution: SelfCalibration | None) -> PrincipalPoin
     ]
     sentence = f"The camera's principal point was taken as known. If it is elsewhere: {'; '.join(effects)}."
     return PrincipalPointEffect((sentence,), float(np.linalg.norm(by_pixel, axis=1).max()))
+
+
+@dataclass(frozen=True)
+class JointRow:
+    """A capture as text: address of its report, matches, residual, decoder's noise and points; '–' for missing ones."""
+
+    name: str
+    report: str
+    cells: tuple[str, ...]
+
+
+def joint_rows(report: ReportInput) -> tuple[JointRow, ...]:
+    """The captures that were calibrated together; none for a capture alone."""
+    return tuple(
+        JointRow(
+            row.name,
+            row.report,
+            (
+                f"{row.matches:,}",
+                "–" if row.residual_px is None else f"{row.residual_px:.3f} px",
+                "–" if row.statistics is None else f"{row.statistics.decoder_px:.3f} px",
+                "–" if row.statistics is None else f"{row.statistics.kept:,}",
+            ),
+        )
+        for row in report.joint.rows
+    )
+
+
+def merged_views(report: ReportInput) -> tuple[PageImage, ...]:
+    """Pictures of the merged cloud, seen along the floor's diagonal into the corner, and from above."""
+    cloud = report.joint.merged
+    if cloud is None or not len(cloud.points):
+        return ()
+    up = _UP * np.sign(np.median(cloud.points[:, 2])) if np.median(cloud.points[:, 2]) else _UP
+    middle = np.median(cloud.points.astype(np.float64), axis=0)
+    into_corner = -np.array([middle[0], middle[1], 0.0])
+    views = standard_views(into_corner, up)
+    return tuple(
+        view(render(cloud, views[name], _VIEW_SIZE, []), name, "the merged point cloud", caption)
+        for name, caption in _CAPTIONS.items()
+    )

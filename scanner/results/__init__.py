@@ -10,18 +10,19 @@ from scanner.results.calibration_log import (
     log_text,
     read_log,
 )
-from scanner.results.cloud_steps import read_steps, write_steps
 from scanner.results.finished_result import (
     FinishedResult,
+    FinishedScan,
     KeptPoints,
     PlacedScan,
     capture_folders,
     is_merged,
+    read_calibration_of,
     read_finished_result,
+    read_finished_scan,
     read_joined,
 )
-from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
-from scanner.results.job import Job
+from scanner.results.job import Job, Provenance, provenance
 from scanner.results.leftovers import frames_in, kept_text, settle
 from scanner.results.names import (
     CALIBRATION_FILE,
@@ -60,8 +61,7 @@ from scanner.results.names import (
     refuse_occupied,
     unused,
 )
-from scanner.results.provenance import Provenance, provenance
-from scanner.results.result_folder import OutputFolder, new_result
+from scanner.results.result_folder import OutputFolder, new_result, read_steps, write_steps
 from scanner.results.stages import (
     AS_SHOWN,
     Calibrated,
@@ -80,12 +80,15 @@ from scanner.results.stages import (
     solution_of,
     titles_of,
 )
-from scanner.results.stated_network import NetworkErrors, network_error_entries, read_network_errors
-from scanner.results.stated_pose_errors import pose_error_entries, read_pose_errors
 from scanner.results.stated_uncertainty import (
     COLUMNS,
+    NetworkErrors,
     confidence_entries,
     covariance_entries,
+    network_error_entries,
+    pose_error_entries,
+    read_network_errors,
+    read_pose_errors,
     read_uncertainty,
 )
 from scanner.results.unfinished import Claim, FolderState

@@ -1,20 +1,58 @@
-"""What makes a result: acquire → solve → write, in a folder that appears whole or not at all."""
+"""What makes a result: acquire → solve → write, in a folder that appears whole or not at all, with its provenance for
+readers years later.
+"""
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from calib.refusal import RefusalError
 from scanner.configuration import Config
 from scanner.results.names import REFUSAL_FILE
-from scanner.results.provenance import provenance
 from scanner.results.result_folder import new_result
+from scanner.results.unfinished import published_name
 from scanner.results.verdict import Verdict, verdict_entries, write_refusal
 from scanner.ui import Terminal
 
 Captures = TypeVar("Captures")
 Solved = TypeVar("Solved")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """The result's `name`, when it was `made` (UTC), by which `program`, and what its `configuration` sets."""
+
+    name: str
+    made: datetime
+    program: str
+    configuration: Mapping[str, Any]
+
+    @property
+    def date(self) -> str:
+        """Date and time for reading."""
+        return f"{self.made:%Y-%m-%d, %H:%M} UTC"
+
+    def entries(self, devices: Mapping[str, str]) -> dict[str, Any]:
+        """A key for a calibration file; `devices`: the capture's metadata."""
+        return {
+            "made": {
+                "name": self.name,
+                "date": self.made.isoformat(timespec="seconds"),
+                "program": self.program,
+                "configuration": {**self.configuration},
+                "capture": {**devices},
+            }
+        }
+
+
+def provenance(folder: Path, config: Config) -> Provenance:
+    """Return the provenance of the result being made in `folder`, as of now."""
+    settings = json.loads(config.as_json())
+    return Provenance(published_name(folder), datetime.now(UTC), f"roomscan {version('roomscan')}", settings)
 
 
 def refusal_of(verdict: Verdict) -> RefusalError:

@@ -1,26 +1,41 @@
-"""The result folder: it appears whole or not at all, and never over something that is not a result."""
+"""The result folder: it appears whole or not at all, and never over something that is not a result.
+
+The steps that are done to a result's cloud, as a file in it; the cloud itself stays as it was measured.
+"""
 
 import logging
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from pydantic import Field
+
 from calib.refusal import RefusalError
-from scanner.configuration import Config
+from scanner.configuration import MOST_STEPS, CloudStep, Config
 from scanner.errors import InputError, StorageError, cannot_write, is_of_the_disk
 from scanner.interruption import finishing
-from scanner.io import MATCHES_FILE, missing_folders, remove_empty, sync_tree
-from scanner.results.cloud_steps import write_steps
+from scanner.io import (
+    MATCHES_FILE,
+    Entry,
+    flow_yaml,
+    missing_folders,
+    new_file,
+    read_yaml,
+    remove_empty,
+    sync_tree,
+    validate,
+)
 from scanner.results.leftovers import frames_in, keep_recording, kept_text, settle
 from scanner.results.names import (
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
     LOG_FILE,
+    STEPS_FILE,
     is_occupied,
     kind_of,
     refuse_to_lose,
@@ -33,6 +48,27 @@ log = logging.getLogger(__name__)
 
 # Two scans that begin at the same moment may block each other for this long.
 _ATTEMPTS, _PAUSE_S = 20, 0.005
+
+
+class _StepsEntry(Entry):
+    steps: tuple[CloudStep, ...] = Field(max_length=MOST_STEPS)
+
+
+def read_steps(folder: Path) -> tuple[CloudStep, ...]:
+    """Of a result, in their order; none without such a file. Raises InputError if it is malformed."""
+    path = folder / STEPS_FILE
+    return validate(_StepsEntry, read_yaml(path), str(path)).steps if path.is_file() else ()
+
+
+def write_steps(folder: Path, steps: Sequence[CloudStep]) -> None:
+    """Write them, in place of those that are there; without any, there is no file. Raises InputError, StorageError."""
+    path = folder / STEPS_FILE
+    if not steps:
+        path.unlink(missing_ok=True)
+        return
+    lines = [f"  - {flow_yaml({step.name: step.parameter})}" for step in steps]
+    with new_file(path, overwrite=True) as partial:
+        partial.write_text("\n".join(["steps:", *lines]) + "\n", encoding="utf-8")
 
 
 @contextmanager

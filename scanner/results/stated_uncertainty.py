@@ -1,17 +1,22 @@
-"""The covariance of a calibration as a key of its file."""
+"""Uncertainties as files state them: the covariance of a calibration, the errors of the poses of captures or stations,
+and the covariance of a network's devices with the known distance that gives its scale.
+"""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
-from calib.diagnostics import NOWHERE, Along, Uncertainty
-from calib.geometry import Calibration, tangent_basis
+from calib.diagnostics import NOWHERE, Along, PoseErrors, Uncertainty
+from calib.geometry import PER_POSE, Calibration, tangent_basis
+from calib.networks import PER_NODE, PLACE, NetworkEstimate
 from calib.numerics import Floats
 from calib.refinement import ROTATION, SHARED, TRANSLATION, State, device_of
 from scanner.errors import InputError
-from scanner.io import Entry, Number, read_calibration_keys, validate
+from scanner.io import Entry, Number, read_calibration_keys, read_yaml, validate
 from scanner.results.verdict import Verdict, verdict_entries
 
 _OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2", "p1", "p2", "k3")
@@ -27,6 +32,8 @@ _LOG_FOCALS = [index for index, column in enumerate(COLUMNS) if column.endswith(
 _MOST_LOG_SIGMA, _MOST_SIGMA = 5.0, 1e7  # a factor of 150 of a focal length; more pixels than any image has
 _ANGLES = [index for index, column in enumerate(COLUMNS) if column.startswith(("rotation", "translation"))]
 _ROUNDED, _NOTHING = 1e-6, 1e-9
+_MOST_VARIANCE = 1e24  # squared units of a scene
+_DIGITS = 8
 
 
 class _AlongEntry(Entry):
@@ -166,3 +173,85 @@ def columns_of_file(direction: Floats) -> Floats:
     to_file[: ROTATION.stop, : ROTATION.stop] = np.eye(ROTATION.stop)
     to_file[ROTATION.stop :, TRANSLATION] = tangent_basis(direction)
     return to_file
+
+
+class _PoseErrorsEntry(Entry):
+    pose_covariance: list[list[Number]] = Field(default_factory=list)
+    pose_by_calibration: list[list[Number]] = Field(default_factory=list)
+
+
+def pose_error_entries(errors: PoseErrors, direction: Floats) -> dict[str, Any]:
+    """Keys with a row for each of six numbers of each pose; none where the poses are not determined.
+
+    `direction` (3,): of the calibration's translation, to whose three components a file's columns refer.
+    """
+    if not (np.isfinite(errors.covariance).all() and np.isfinite(errors.by_calibration).all()):
+        return {}
+    by_file = errors.by_calibration @ columns_of_file(direction / np.linalg.norm(direction)).T
+    return {"pose_covariance": errors.covariance.tolist(), "pose_by_calibration": by_file.tolist()}
+
+
+def read_pose_errors(path: Path, count: int, direction: Floats) -> PoseErrors | None:
+    """The errors of `count` poses; None where the file states none. Raises InputError if they are malformed."""
+    entry = validate(_PoseErrorsEntry, read_yaml(path), str(path))
+    if not entry.pose_covariance:
+        return None
+    rows = PER_POSE * count
+    for key, matrix, columns in (
+        ("pose_covariance", entry.pose_covariance, rows),
+        ("pose_by_calibration", entry.pose_by_calibration, len(COLUMNS)),
+    ):
+        if len(matrix) != rows or any(len(row) != columns for row in matrix):
+            raise InputError(f"{path}: '{key}' must be {rows} rows of {columns} numbers")
+    covariance = np.array(entry.pose_covariance)
+    diagonal = np.diag(covariance)
+    if diagonal.min() < 0 or diagonal.max() > _MOST_VARIANCE or not np.allclose(covariance, covariance.T):
+        raise InputError(f"{path}: 'pose_covariance' is no covariance: negative, not symmetric, or beyond any scene")
+    return PoseErrors(
+        covariance, np.array(entry.pose_by_calibration) @ columns_of_file(direction / np.linalg.norm(direction))
+    )
+
+
+class _NetworkErrorsEntry(Entry):
+    covariance: list[list[Number]] = Field(default_factory=list)
+    known_distance: tuple[str, str] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkErrors:
+    """How sure the devices of a network are."""
+
+    covariance: Floats
+    """(18 D, 18 D) of the devices' columns, as of `calib.networks.Network`, in the file's unit."""
+    known_distance: tuple[str, str] | None
+    """The devices whose distance is known, to which all lengths are scaled; None without a scale."""
+
+
+def network_error_entries(estimate: NetworkEstimate, factor: float, known: tuple[str, str] | None) -> dict[str, Any]:
+    """Keys for network.yaml; `factor`: the length of the estimate's unit in the file's."""
+    count = PER_NODE * len(estimate.names)
+    scale = np.ones(count)
+    for device in range(len(estimate.names)):
+        scale[PER_NODE * device :][PLACE] = factor
+    covariance = scale[:, None] * estimate.covariance[:count, :count] * scale
+    rows = [[float(f"{value:.{_DIGITS}g}") for value in row] for row in covariance.tolist()]
+    entries: dict[str, Any] = {"covariance": rows} if np.isfinite(covariance).all() else {}
+    return entries if known is None else entries | {"known_distance": [*known]}
+
+
+def read_network_errors(path: Path, names: Sequence[str]) -> NetworkErrors | None:
+    """Of devices with these names; None where the file states none, as older ones. Raises InputError for others."""
+    entry = validate(_NetworkErrorsEntry, read_yaml(path), str(path))
+    if not entry.covariance:
+        return None
+    size = PER_NODE * len(names)
+    if len(entry.covariance) != size or any(len(row) != size for row in entry.covariance):
+        raise InputError(f"{path}: 'covariance' must be {size} rows of as many numbers, {PER_NODE} for each device")
+    covariance = np.array(entry.covariance)
+    diagonal = np.diag(covariance)
+    if diagonal.min() < 0 or diagonal.max() > _MOST_VARIANCE or not np.allclose(covariance, covariance.T, rtol=1e-5):
+        raise InputError(f"{path}: 'covariance' is none: negative, not symmetric, or beyond any scene")
+    known = entry.known_distance
+    if known is not None and (known[0] == known[1] or not set(known) <= set(names)):
+        raise InputError(f"{path}: 'known_distance' must be two of {', '.join(names)}, found {', '.join(known)}")
+    return NetworkErrors(covariance, entry.known_distance)

@@ -8,8 +8,7 @@ import numpy as np
 
 from calib.geometry import homography_between, mapped
 from calib.numerics import Bools, Floats, Image, Ints
-from scanner.targets.dots import corrected
-from scanner.targets.saddles import refined
+from scanner.targets.grid_points import corrected, refined
 from scanner.targets.target import Target
 
 _SB = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY

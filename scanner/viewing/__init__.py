@@ -1,4 +1,4 @@
-"""A finished result in 3-D, in the browser. Views, labels, parts and pictures are computed without viser."""
+"""A finished result in 3-D, in the browser. Views, labels and parts are computed without viser."""
 
 from typing import TYPE_CHECKING
 
@@ -7,22 +7,22 @@ from calib.deferred_imports import defer_imports
 if TYPE_CHECKING:
     from scanner.viewing.buttons import PLAIN as PLAIN
     from scanner.viewing.buttons import HintedButton as HintedButton
+    from scanner.viewing.clicking import KnownScale as KnownScale
     from scanner.viewing.colouring import Colouring as Colouring
     from scanner.viewing.first_look import preview_scan as preview_scan
     from scanner.viewing.opening import DEFAULT_PORT as DEFAULT_PORT
     from scanner.viewing.opening import LOCAL as LOCAL
     from scanner.viewing.opening import free_port as free_port
     from scanner.viewing.opening import require_viser as require_viser
-    from scanner.viewing.origin_check import OriginCheck as OriginCheck
     from scanner.viewing.panel import ResultPanel as ResultPanel
     from scanner.viewing.panel import reading as reading
-    from scanner.viewing.picking import KnownScale as KnownScale
     from scanner.viewing.result import CloudWithSigma as CloudWithSigma
     from scanner.viewing.result import PlacedRig as PlacedRig
     from scanner.viewing.result import ViewedCloud as ViewedCloud
     from scanner.viewing.result import ViewedResult as ViewedResult
     from scanner.viewing.scene import CloudScene as CloudScene
-    from scanner.viewing.served_files import ServedFiles as ServedFiles
+    from scanner.viewing.server import OriginCheck as OriginCheck
+    from scanner.viewing.server import ServedFiles as ServedFiles
     from scanner.viewing.server import Serving as Serving
     from scanner.viewing.server import add_style as add_style
     from scanner.viewing.server import announce_page as announce_page
@@ -45,16 +45,14 @@ __all__, __getattr__, __dir__ = defer_imports(
     __name__,
     {
         "buttons": "HintedButton PLAIN",
+        "clicking": "KnownScale",
         "colouring": "Colouring",
         "first_look": "preview_scan",
         "opening": "DEFAULT_PORT LOCAL free_port require_viser",
-        "origin_check": "OriginCheck",
         "panel": "ResultPanel reading",
-        "picking": "KnownScale",
         "result": "CloudWithSigma PlacedRig ViewedCloud ViewedResult",
         "scene": "CloudScene",
-        "served_files": "ServedFiles",
-        "server": "Serving add_style announce_page serving wait",
+        "server": "OriginCheck ServedFiles Serving add_style announce_page serving wait",
         "texts": "bar_html bold escaped link_html notes_text verdict_text",
         "view": "view_result",
         "view_controls": "failures_shown",

@@ -1,13 +1,22 @@
-"""Geometry of the view: frusta, rulers, viewpoint, and what a window shows from there. Arrays only."""
+"""Geometry of the view: frusta, rulers, viewpoint, and what a window shows from there. Arrays only.
 
+A scale bar for the middle of a window's view, in the cloud's unit.
+
+Where labels go in a window so that none lies over another.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, floor, log10
+from typing import Literal
 
 import numpy as np
+from markupsafe import escape
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
+from scanner.quantities import shown_unit
 from scanner.viewing.decimation import shuffled
 from scanner.viewing.result import PlacedRig, ViewedCloud
 
@@ -21,6 +30,32 @@ FRUSTUM_OF_SIZE = 0.25
 _CENTRINGS = 8
 _TALL_PX = 1100  # of a page; in pixels of the screen, phones are three times as high as on their pages
 _ABOVE, _BESIDE = 0.7, 0.5
+_WANTED_PX = 560  # four times the length that it is about to have
+Anchor = Literal[
+    "top-left",
+    "top-center",
+    "top-right",
+    "center-left",
+    "center-center",
+    "center-right",
+    "bottom-left",
+    "bottom-center",
+    "bottom-right",
+]
+# As viser draws them: 12 pixels high, a little wider than they are in most fonts.
+LETTER_PX, LINE_PX, _PADDING_PX = 6.9, 18.0, 6.0
+# The part of its width and height that a label has left of, and above, the point that it is at.
+_BEFORE = {"left": 0.0, "center": 0.5, "right": 1.0, "top": 0.0, "bottom": 1.0}
+_ANCHORS: tuple[Anchor, ...] = (
+    "center-left",
+    "center-right",
+    "top-center",
+    "bottom-center",
+    "bottom-left",
+    "bottom-right",
+    "top-left",
+    "top-right",
+)
 
 
 @dataclass(frozen=True)
@@ -168,3 +203,82 @@ def ruler_lines(start: Floats, direction: Floats, across: Floats, length: float)
     at = start + np.arange(0, floor(length / step + 1e-9) + 1)[:, None] * step * direction
     ticks = np.stack([at, at + 0.25 * step * across], axis=1)
     return np.concatenate([np.stack([at[0], at[-1]])[None], ticks])
+
+
+@dataclass(frozen=True)
+class ScaleBar:
+    """A bar of `width_px` pixels, which is as long as `text` says at the middle of the view."""
+
+    width_px: float
+    text: str
+
+
+def scale_bar(px_per_unit: float, unit: str, density: int = 1) -> ScaleBar:
+    """Return a bar of a round length; `px_per_unit` pixels are one of the cloud's unit, `density` one of the page."""
+    shown = shown_unit(unit)
+    step = nice_step(shown.factor * density * _WANTED_PX / px_per_unit)
+    name = "baseline" if step == 1 and shown.name == "baselines" else shown.name
+    return ScaleBar(step / shown.factor * px_per_unit, f"{step:g} {name}")
+
+
+def scale_bar_html(bar: ScaleBar, height: int) -> str:
+    """It, over the view, which is `height` of its pixels high and as high as the page."""
+    text = escape(bar.text)
+    return (
+        f'<div class="scan-scale" role="img" aria-label="scale bar: {text}" title="At the middle of the view: what is '
+        f'nearer looks larger"><div style="width: {100 * bar.width_px / height:.3f}vh"></div><p>{text}</p></div>'
+    )
+
+
+@dataclass(frozen=True)
+class TextLabel:
+    """A `text` at a `place` (3,) of the cloud's frame; `anchor` is the side of it that is there if there is room."""
+
+    text: str
+    place: Floats
+    anchor: Anchor
+
+
+def arranged(labels: Sequence[TextLabel], view: WindowView) -> tuple[Anchor | None, ...]:
+    """The anchor of each label, so that none lies over another or is cut off; None for one that finds no room.
+
+    The first have their choice first. A label that the window does not show is as it wants to be.
+    """
+    if not labels:
+        return ()
+    pixels, depths = view.project(np.stack([label.place for label in labels]))
+    taken: list[Floats] = []
+    anchors: list[Anchor | None] = []
+    for label, pixel, depth in zip(labels, pixels, depths, strict=True):
+        if depth <= 0 or np.any(pixel < 0) or np.any(pixel > (view.width, view.height)):
+            anchors.append(label.anchor)
+            continue
+        inside = [
+            (anchor, area)
+            for anchor, area in _areas(label, pixel, view.density)
+            if _is_inside(area, view) and not any(_overlap(area, other) for other in taken)
+        ]
+        anchors.append(inside[0][0] if inside else None)
+        taken += [area for _, area in inside[:1]]
+    return tuple(anchors)
+
+
+def area_of(text: str, pixel: Floats, anchor: Anchor, density: int = 1) -> Floats:
+    """Left, top, right and bottom of a label at a pixel, (4,)."""
+    size = density * np.array([LETTER_PX * len(text) + _PADDING_PX, LINE_PX])
+    vertical, horizontal = anchor.split("-")
+    low = pixel - size * (_BEFORE[horizontal], _BEFORE[vertical])
+    return np.concatenate([low, low + size])
+
+
+def _areas(label: TextLabel, pixel: Floats, density: int) -> Iterator[tuple[Anchor, Floats]]:
+    for anchor in dict.fromkeys((label.anchor, *_ANCHORS)):
+        yield anchor, area_of(label.text, pixel, anchor, density)
+
+
+def _overlap(first: Floats, second: Floats) -> bool:
+    return bool(np.all(first[:2] < second[2:]) and np.all(second[:2] < first[2:]))
+
+
+def _is_inside(area: Floats, view: WindowView) -> bool:
+    return bool(np.all(area[:2] >= 0) and np.all(area[2:] <= (view.width, view.height)))

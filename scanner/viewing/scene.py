@@ -1,15 +1,23 @@
-"""A cloud in the browser: its points, the rigs that saw it, the faces, their vertex, and a ruler."""
+"""A cloud in the browser: its points, the rigs that saw it, the faces, their vertex, and a ruler.
 
+The surface of a capture as triangles for the browser, coloured like its points, reduced for smooth rotation.
+"""
+
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from math import ceil, sqrt
+from pathlib import Path
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.numerics import Bools, Floats
+from calib.numerics import Bools, Floats, Ints
+from calib.pointcloud import SeenPoints, image_triangles
+from scanner.exporting import Mesh, write_glb
 from scanner.measuring import angle_cells
 from scanner.quantities import device_names, shown_unit
 from scanner.rendering import BLUE, FACE_COLOURS, VERMILION, frustum_lines
@@ -18,18 +26,18 @@ from scanner.viewing.corner import MeasuredCorner
 from scanner.viewing.crop import Box, whole
 from scanner.viewing.geometry import (
     FRUSTUM_OF_SIZE,
+    Anchor,
+    TextLabel,
     frusta_of,
     nice_step,
     ruler_lines,
     typical_size,
 )
-from scanner.viewing.label_layout import Anchor, TextLabel
-from scanner.viewing.result import PlacedRig, ViewedCloud
-from scanner.viewing.see_through import PartKind, RoomPart, room_parts
-from scanner.viewing.surface import SurfaceMesh
+from scanner.viewing.result import CaptureCloud, PlacedRig, ViewedCloud
 from scanner.viewing.texts import angle_name
-from scanner.viewing.windows import LABELS, ShownCloud, Windows, rest_of
+from scanner.viewing.windows import LABELS, PartKind, RoomPart, ShownCloud, Windows, rest_of, room_parts
 
+_MOST_POINTS = 300_000
 # The browser's camera is made for scenes of a few units, so clouds are scaled to this size.
 _DRAWN_SIZE = 2.0
 _FACE_OPACITY = 0.15
@@ -43,6 +51,42 @@ CLOUD, RIGS, FACES, PICKED, BOX = "/cloud", "/rigs", "/faces", "/picked", "/box"
 PARTS = {kind: f"{CLOUD}/{kind.value}" for kind in PartKind}
 _MESH, _POINTS = f"{CLOUD}/mesh", f"{CLOUD}/points"
 _SEEN_THROUGH = 8  # one point in so many stays of a wall that is seen through
+
+
+@dataclass(frozen=True)
+class SurfaceMesh:
+    """Triangles (T, 3) between points of a cloud, by number."""
+
+    cloud: CaptureCloud
+    triangles: Ints
+
+    def glb(self, colours: NDArray[np.uint8], inside: Bools | None) -> tuple[bytes, int]:
+        """Return the surface as binary glTF in the cloud's unit, y up, and its number of triangles.
+
+        `colours` (N, 3) RGB; `inside` (N,): the points that it may connect.
+        """
+        kept = self.triangles if inside is None else self.triangles[np.all(inside[self.triangles], axis=1)]
+        if not len(kept):
+            return b"", 0
+        used, corners = np.unique(kept, return_inverse=True)
+        scan = self.cloud.scan
+        triangles = corners.reshape(kept.shape).astype(np.int32)
+        mesh = Mesh(scan.points[used], scan.normals[used], colours[used], triangles, scan.unit)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, "mesh.glb")
+            write_glb(path, mesh, 1.0)
+            return path.read_bytes(), len(kept)
+
+
+def surface_of(cloud: CaptureCloud) -> SurfaceMesh:
+    """Triangles between neighbouring pixels, at every `step`th one of a large cloud."""
+    scan = cloud.scan
+    step = max(1, ceil(sqrt(len(scan) / _MOST_POINTS)))
+    chosen = np.flatnonzero(np.all(scan.pixel % step == 0, axis=1))
+    focal_px = float(np.mean(scan.calibration.camera.focal_px)) / step
+    points = SeenPoints(scan.matches.camera_px[chosen] / step, scan.points[chosen], scan.normals[chosen], focal_px)
+    triangles = image_triangles(points)
+    return SurfaceMesh(cloud, chosen[triangles].astype(np.int32))
 
 
 @dataclass(frozen=True)

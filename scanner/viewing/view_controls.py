@@ -17,8 +17,7 @@ from scanner.viewing.colouring import ColourBar, Colouring, possible_colourings
 from scanner.viewing.crop import Box, box_within, frame_of, write_cropped
 from scanner.viewing.decimation import DEFAULT_SHOWN, many, statement
 from scanner.viewing.result import CaptureCloud, ViewedCloud
-from scanner.viewing.scene import FACES, PARTS, RIGS, CloudScene, ViewSummary
-from scanner.viewing.surface import SurfaceMesh, surface_of
+from scanner.viewing.scene import FACES, PARTS, RIGS, CloudScene, SurfaceMesh, ViewSummary, surface_of
 from scanner.viewing.texts import bar_html, bold
 from scanner.viewing.windows import LABELS
 

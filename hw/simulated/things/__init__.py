@@ -5,5 +5,4 @@ rotates about the z axis.
 """
 
 from hw.simulated.things.simulation import SimulatedThing, ThingRenderer, ThingTruth
-from hw.simulated.things.solids import Solid, draw_solid
-from hw.simulated.things.stage import TurntableScene
+from hw.simulated.things.stage import Solid, TurntableScene, draw_solid

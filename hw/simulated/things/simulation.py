@@ -12,12 +12,10 @@ from hw.settings import SimulatedRigSettings, ThingSettings
 from hw.simulated.arrays import Light, sparse_matrix
 from hw.simulated.device import Optics, PlacedDevice
 from hw.simulated.illumination import SPILL_PX
-from hw.simulated.picture import PictureOptics
+from hw.simulated.picture import PictureOptics, Sensor, build_sensor
 from hw.simulated.placement import look_at, resized, zoomed
-from hw.simulated.sensor import Sensor, build_sensor
 from hw.simulated.simulation import calibration_between
-from hw.simulated.things.solids import Solid, draw_solid
-from hw.simulated.things.stage import Hits, TurntableScene, pose_of, reflected
+from hw.simulated.things.stage import Hits, Solid, TurntableScene, draw_solid, pose_of, reflected
 
 _STREAM = 300  # stream of random numbers; rooms use others
 _CAMERA, _PROJECTOR = Optics(1224, 1024, 2100.0, (618.0, 508.0)), Optics(854, 480, 1500.0, (431.0, 243.0))

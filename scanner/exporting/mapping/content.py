@@ -9,7 +9,7 @@ from calib.geometry import Size
 from calib.numerics import Floats, compiled
 from scanner.errors import InputError
 from scanner.exporting.mapping.projector_view import Numbers, WallPart
-from scanner.exporting.mapping.wall import WallView
+from scanner.exporting.mapping.scene import WallView
 
 _LARGEST_PX = 16_384
 

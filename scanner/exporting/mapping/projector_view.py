@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats, Ints, compiled
 from scanner.exporting.mapping.rasterisation import TriangleRaster
-from scanner.exporting.mapping.wall import WallView
+from scanner.exporting.mapping.scene import WallView
 from scanner.exporting.triangles import Mesh
 from scanner.io import RowFile, StoredDevice, in_rows
 

@@ -5,25 +5,37 @@ Where a pixel of the picture falls between two pixels of the panel, the finest s
 one, they keep it. Along both axes the loss beats with the shift between picture and panel, with crests at whole shifts.
 The shift is that of a homography, so a fit over the picture determines it to a small part of a pixel, up to its sign,
 because opposite shifts have the same beat. A projector only makes pictures smaller, which determines the sign.
+
+Matches in the pixels of the projector's panel, where it reshapes the picture that is sent to it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.estimation import Shift
+from calib.finding import Finding, FindingKind, Severity, without_kinds
 from calib.geometry import Matches, mapped
 from calib.numerics import Floats, Ints, evenly
+from scanner.capture import CHANGED_SHAPE
 from scanner.decoding import FinestStripes, first_harmonics
-from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, BeatFit, homography_of
-from scanner.reconstruction.keystone.planes import planes_at
+from scanner.quantities import percent
+from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, BeatFit, homography_of, planes_at
 from scanner.reconstruction.keystone.starts import Spectrum, starts, starts_about_both_axes
+from scanner.results import AS_SHOWN, Decoded, Panel
 
 # Wider stripes lose less than 2 %.
 _LONGEST_PX = 16.0
 _MOST_AT_FIRST = 4000
 # More harmonics are more accurate, but converge only from nearby.
 _ROUND, _SHARP = first_harmonics(1), first_harmonics(5)
+KEYSTONE_CORRECTED = FindingKind(
+    "keystone-corrected",
+    "The projector corrects its picture for keystone, as the beat of the finest stripes shows; it was removed.",
+    "Turn the correction off for captures that are to use this calibration.",
+    ("narrower_share",),
+)
 
 
 @dataclass(frozen=True)
@@ -101,3 +113,47 @@ def _between_pixels(values: Floats, size: tuple[int, int]) -> Floats:
     half, middle_y = (size[0] - 1) / 2, (size[1] - 1) / 2
     to_units = np.array([[1, 0, -half], [0, 1, -middle_y], [0, 0, half]]) / half
     return np.linalg.inv(to_units) @ homography_of(values) @ to_units
+
+
+def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
+    """A capture with known planes, with its matches in square panel pixels, as far as its stripes determine them.
+
+    The origin of the panel is that of `others` of the same rig, if they have one.
+    """
+    decoding, plane = capture.decoding, capture.matches.face if capture.plane is None else capture.plane
+    if capture.panel is not None or decoding is None or decoding.stripes is None or plane is None:
+        return capture
+    size = capture.metadata.projector_size
+    keystone = measure_keystone(decoding.stripes, capture.matches, plane, size)
+    if keystone is None:
+        return replace(capture, panel=AS_SHOWN)
+    homography = keystone.homography
+    for other in others:
+        if other.panel is not None and other.panel is not AS_SHOWN:
+            homography = beginning_as(other.panel.homography, homography, size)
+            break
+    matches = replace(capture.matches, projector_px=mapped(homography, capture.matches.projector_px))
+    # A check before the scan suspected keystone correction; the capture has measured it.
+    findings = without_kinds(decoding.findings, CHANGED_SHAPE)
+    panel = Panel(homography, keystone.shifts)
+    measured = replace(capture, matches=matches, panel=panel, origin=replace(decoding, findings=findings))
+    return measured.with_findings(_finding(keystone))
+
+
+def beginning_as(other: Floats, homography: Floats, size: tuple[int, int]) -> Floats:
+    """The homography by whole pixels of the panel nearer to another one."""
+    middle = (np.array([size], np.float64) - 1) / 2
+    (apart,) = np.rint(mapped(other, middle) - mapped(homography, middle))
+    return np.array([[1, 0, apart[0]], [0, 1, apart[1]], [0, 0, 1]]) @ homography
+
+
+def _finding(keystone: Keystone) -> Finding:
+    return Finding(
+        KEYSTONE_CORRECTED,
+        Severity.WARNING,
+        f"The projector corrects its picture for keystone: one edge is {percent(keystone.narrower)} narrower than the "
+        "other, as the beat of the finest stripes shows. This was measured and corrected: matches and calibration "
+        "are in pixels of the projector's panel, as if it showed its picture as it is.",
+        KEYSTONE_CORRECTED.remedy,
+        {"narrower_share": float(keystone.narrower)},
+    )

@@ -1,7 +1,7 @@
 import numpy as np
 
 from calib.geometry import Pose, Size, rotation_about
-from calib.networks.calibrated_pairs import CalibratedPair
+from calib.networks.from_pairs import CalibratedPair
 from calib.networks.network import Device, Network
 from calib.refinement import SHARED, Knowledge, KnownRig, State
 

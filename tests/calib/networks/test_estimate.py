@@ -10,7 +10,7 @@ from calib.numerics import Floats
 from calib.refinement import LensPrior
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint
-from calib.synthetic import RoomOptions, SyntheticNetwork, networks, random_network, random_waves
+from calib.synthetic import RoomOptions, SyntheticNetwork, random_network, random_waves, stations
 
 OPTIONS = RoomOptions(boxes=1, count=6000)
 
@@ -113,7 +113,7 @@ def test_an_uneven_wall_is_reported_and_widens_sigmas(monkeypatch: pytest.Monkey
     def of_the_floor(rng: np.random.Generator, options: RoomOptions) -> Floats:
         return random_waves(rng, options) * (np.arange(6) == 0)[:, None, None]
 
-    monkeypatch.setattr(networks, "random_waves", of_the_floor)
+    monkeypatch.setattr(stations, "random_waves", of_the_floor)
     made = random_network(np.random.default_rng(3), 2, 2, replace(OPTIONS, wavy=0.003))
 
     estimate = estimate_network(made.captures, sizes_of(made))

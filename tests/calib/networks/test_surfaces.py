@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.networks import NetworkEstimate, estimate_network
-from calib.networks.surfaces import PlaneRelief
+from calib.networks.weights import PlaneRelief
 from calib.numerics import Floats
 from calib.synthetic import RoomOptions, random_network
 

@@ -8,8 +8,8 @@ import pytest
 
 from calib.numerics import Floats, minimise
 from calib.plane_segmentation.fundamental_matrix import _epipolar_residuals, _Pairs, _plane_residuals
-from calib.plane_segmentation.planar_bundle_adjustment import residuals_of_planes
 from calib.plane_segmentation.plane_parallax import Lens, TwoView
+from calib.plane_segmentation.segmentation import residuals_of_planes
 
 Evaluate = Callable[[Floats], tuple[Floats, Floats]]
 CAMERA, PROJECTOR = Lens((1224, 1024), 0.03, -0.01, (0.02, -0.03)), Lens((854, 480), -0.02, 0.01, (-0.05, 0.1))

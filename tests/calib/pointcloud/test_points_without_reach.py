@@ -1,6 +1,6 @@
 import numpy as np
 
-from calib.pointcloud.normals import _neighbour_planes
+from calib.pointcloud.organised_cloud import _neighbour_planes
 
 
 def test_a_point_with_nan_reach_is_isolated_and_faces_the_camera() -> None:

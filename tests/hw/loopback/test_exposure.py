@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hw.loopback import Conditions
-from hw.loopback.exposure import MONO_8, MONO_16, RGB_8, ExposureRequest, RoomSensor
+from hw.loopback.camera import MONO_8, MONO_16, RGB_8, ExposureRequest, RoomSensor
 from hw.loopback.screen import ScreenHistory
 from hw.settings import SimulatedRigSettings
 from hw.simulated import Sensor

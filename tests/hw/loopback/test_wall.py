@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hw.loopback import Conditions
-from hw.loopback.wall import Wall
+from hw.loopback.screen import Wall
 from tests.support.simulated_window import SIZE
 
 

@@ -7,10 +7,9 @@ import pytest
 
 from calib.numerics import Floats
 from hw.settings import PanelSettings, SimulatedRigSettings
-from hw.simulated.picture import PictureOptics
+from hw.simulated.picture import PictureOptics, responded
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.room import DrawnRoom, draw_room
-from hw.simulated.sensor import responded
 from hw.simulated.simulation import SimulatedRoom, true_calibration
 
 pytestmark = pytest.mark.xdist_group("simulated_room")

@@ -8,9 +8,8 @@ import pytest
 from calib.numerics import Floats
 from hw.settings import SimulatedRigSettings
 from hw.simulated.device import Optics, PlacedDevice
-from hw.simulated.gather import Gathered, Gatherer
 from hw.simulated.illumination import ProjectorLight
-from hw.simulated.interreflection import Interreflection, solve
+from hw.simulated.interreflection import Gathered, Gatherer, Interreflection, solve
 from hw.simulated.mesh import RadiosityMesh, build_mesh
 from hw.simulated.picture import PictureOptics
 from hw.simulated.placement import resized

@@ -7,10 +7,10 @@ from pydantic import ValidationError
 from calib.numerics import Bools, Floats
 from hw.open_rig import open_rig
 from hw.settings import SimulatedRigSettings
+from hw.simulated.picture import build_sensor
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.room import _corner
 from hw.simulated.scene import Label
-from hw.simulated.sensor import build_sensor
 from hw.simulated.simulation import GroundTruth, SimulatedRoom
 
 pytestmark = pytest.mark.xdist_group("simulated_room")

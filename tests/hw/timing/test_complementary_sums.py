@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hw.timing.complementary_sums import ComplementarySums, complementary_sums
+from hw.timing.redundancy import ComplementarySums, complementary_sums
 
 SIZE = (60, 80)
 STRIPES = [16, 8, 4, 32]

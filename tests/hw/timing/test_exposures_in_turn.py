@@ -9,7 +9,7 @@ from hw.errors import DeviceError
 from hw.rig import Capabilities, Rig, exposure_control
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedCamera
-from hw.timing.camera_group import CameraGroup
+from hw.timing.devices import CameraGroup
 from hw.timing.sequential import SequentialAcquisition, Timing
 from hw.timing.synchronisation import synchronised
 from scanner.capture import capture

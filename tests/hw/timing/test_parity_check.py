@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from hw.rig import Redundancy
-from hw.timing.complementary_sums import complementary_sums
-from hw.timing.parity_check import mixed_share, odd_share, with_parity
+from hw.timing.redundancy import complementary_sums, mixed_share, odd_share, with_parity
 from scanner.patterns import draw, gray_sequence
 
 SIZE = (160, 120)

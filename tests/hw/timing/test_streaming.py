@@ -13,7 +13,7 @@ from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Redundancy
 from hw.timing import Arrival, FrameReader, Swap
-from hw.timing.streamed_rig import StreamedRig, streamed
+from hw.timing.streaming import StreamedRig, streamed
 from scanner.capture import findings_on_camera
 from scanner.patterns import Black, Gray, Pattern, Phase, White, draw, level_groups, unpaired_bits
 

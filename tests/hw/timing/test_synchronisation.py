@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
-from hw.timing.camera_group import CameraGroup
+from hw.timing.devices import CameraGroup
 from hw.timing.sequential import SequentialAcquisition, Timing
 from hw.timing.synchronisation import synchronised
 from tests.support.rig_bench import SIZE, Bench

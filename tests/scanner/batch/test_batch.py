@@ -15,12 +15,11 @@ import pytest
 
 from hw.optional_parts import BATCH
 from scanner.batch import running as running_module
-from scanner.batch.cluster import dask_workers
 from scanner.batch.listing import BatchJob, BatchRequest, list_jobs
-from scanner.batch.processes import Processes
 from scanner.batch.rows import BatchRow
 from scanner.batch.running import CSV, PAGE, TABLE, run_batch
 from scanner.batch.work import Delivery, Work
+from scanner.batch.workers import Processes, dask_workers
 from scanner.commands import main
 from scanner.errors import StorageError
 from scanner.io import read_calibration
@@ -217,7 +216,7 @@ def test_mistakes_give_messages(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("scanner.batch.cluster._REACHED_WITHIN_S", 1)
+    monkeypatch.setattr("scanner.batch.workers._REACHED_WITHIN_S", 1)
     assert main(["batch", str(museum / "captures"), "--out", str(tmp_path / "out"), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

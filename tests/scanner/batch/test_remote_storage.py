@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from calib.numerics import use_processors
-from scanner.batch.cluster import DaskWorkers
 from scanner.batch.listing import BatchRequest, list_jobs
 from scanner.batch.location import Location
 from scanner.batch.running import run_batch
+from scanner.batch.workers import DaskWorkers
 from scanner.ui import Terminal
 
 fsspec = pytest.importorskip("fsspec", reason="stores that are far away need the extra 'batch'")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Size
-from scanner.boards.page import _coverage
+from scanner.boards.result import _coverage
 
 
 @pytest.mark.parametrize("size", [Size(200, 150), Size(4096, 3000), Size(3000, 4096)])

@@ -6,7 +6,7 @@ import pytest
 
 from hw.open_rig import open_rig
 from hw.settings import SimulatedRigSettings
-from scanner.capture.same_scene import compare, refuse_another_scene, scale_of
+from scanner.capture.resuming import compare, refuse_another_scene, scale_of
 from scanner.errors import InputError
 from scanner.patterns import Gray, White, draw
 

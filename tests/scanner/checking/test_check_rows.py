@@ -21,9 +21,8 @@ from scanner.checking.check import check_rig
 from scanner.checking.exposure import exposure_levels, exposure_row, propose_exposure
 from scanner.checking.fringes import FringeMeter
 from scanner.checking.light import Light, ambient_share, flicker_of, ghost_of, light_rows, photograph_light
-from scanner.checking.pixels import pixel_row
 from scanner.checking.report import CheckReport, CheckRow, CheckState
-from scanner.checking.response import measure_ramp, ramp_of, response_row
+from scanner.checking.response import measure_ramp, pixel_row, ramp_of, response_row
 from scanner.checking.steadiness import InitialState, levels_of, patterns, row_of, steadiness_row
 from scanner.decoding import Decoding
 from scanner.decoding.motion import RigidFit

@@ -8,8 +8,7 @@ import pytest
 from calib.numerics import Floats
 from hw.simulated import SimulatedRoom
 from scanner.checking.check import check_rig
-from scanner.checking.focus import BlurSamples, period_for, separate_lenses
-from scanner.checking.focus_row import amplitude_left, finest_period_px, focus_row
+from scanner.checking.focus import BlurSamples, amplitude_left, finest_period_px, focus_row, period_for, separate_lenses
 from scanner.checking.report import CheckState
 from scanner.patterns import sequence_for
 from scanner.ui import Terminal

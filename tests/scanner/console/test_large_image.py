@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanner.console.large_image import Placement, Shown, painted
-from scanner.console.picture import CLIPPED_COLOUR, DARK_COLOUR
+from scanner.console.picture import CLIPPED_COLOUR, DARK_COLOUR, Placement, Shown, painted
 
 WINDOW = (1010, 900)
 

@@ -7,8 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanner.console.results import NOTE_FILE, card_of, changes_s, earlier_results, note_of
-from scanner.console.shelf import BIN, bin_result, last_binned, rename_result, restore_result, write_note
+from scanner.console.results import (
+    BIN,
+    NOTE_FILE,
+    bin_result,
+    card_of,
+    changes_s,
+    earlier_results,
+    last_binned,
+    note_of,
+    rename_result,
+    restore_result,
+    write_note,
+)
 from scanner.console.texts import card_html
 from scanner.errors import InputError
 from tests.support.hostile import TEXT

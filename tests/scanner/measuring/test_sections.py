@@ -14,8 +14,7 @@ from scanner.cleaning import read_cleaned
 from scanner.commands import main
 from scanner.exporting import Mesh
 from scanner.measuring import rig_errors
-from scanner.measuring.section_files import _free_place
-from scanner.measuring.sections import cut, parse_plane, section_lines
+from scanner.measuring.sections import _free_place, cut, parse_plane, section_lines
 from tests.support.cloud_scene import SPHERE_RADIUS_M
 from tests.support.result_folder import Written, write_result
 

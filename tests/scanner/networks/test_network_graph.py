@@ -6,8 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from scanner.networks.graph import network_graph
-from scanner.networks.sights import PairProgress
+from scanner.networks.sights import PairProgress, network_graph
 
 ALL = [
     PairProgress("left", "stage", 21, 21, 0.171),

@@ -14,7 +14,7 @@ from calib.refusal import RefusalError
 from calib.scene import ONE_AXIS
 from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
 from scanner.configuration import Config
-from scanner.networks import Captures, job, scenes
+from scanner.networks import Captures, job, solve
 from scanner.results import Decoded
 from tests.scanner.networks.test_network_command import write_captures
 from tests.support.command_line import run
@@ -66,7 +66,7 @@ def test_stations_calibrate_a_network(
 ) -> None:
     """Also where a pair is not calibrated by itself: it follows by shared light."""
     network, stations = taken
-    monkeypatch.setattr(scenes, "known_rig", calibrating(network, but))
+    monkeypatch.setattr(solve, "known_rig", calibrating(network, but))
     out = tmp_path / "hall"
 
     assert run("network", *stations, "--out", out) == 0
@@ -100,7 +100,7 @@ def test_something_that_moved_at_one_station_is_named(
     (tmp_path / "changed" / "camera2-projector1").unlink()
     moved = write_captures(tmp_path / "moved", replace(network, scene=other.scene), np.random.default_rng(4))
     (tmp_path / "changed" / "camera2-projector1").symlink_to(moved[1])
-    monkeypatch.setattr(scenes, "known_rig", calibrating(network))
+    monkeypatch.setattr(solve, "known_rig", calibrating(network))
 
     run("network", *stations[:2], tmp_path / "changed", "--out", tmp_path / "hall")
 
@@ -117,7 +117,7 @@ def test_a_network_of_which_no_pair_is_calibrated_says_why(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     network, stations = taken
-    monkeypatch.setattr(scenes, "known_rig", calibrating(network, _CAMERAS))
+    monkeypatch.setattr(solve, "known_rig", calibrating(network, _CAMERAS))
 
     assert run("network", *stations, "--out", tmp_path / "hall") == 4
 
@@ -138,11 +138,11 @@ def test_nothing_that_was_turned_is_refused(
 def test_stations_of_configured_devices_are_taken_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     taken = list[Captures]()
 
-    def solve(captures: Captures, *_: object) -> None:
+    def solved(captures: Captures, *_: object) -> None:
         taken.append(captures)
         raise RefusalError(ONE_AXIS, "All turns are about one axis.", ONE_AXIS.remedy)
 
-    monkeypatch.setattr(job, "solve_network", solve)
+    monkeypatch.setattr(job, "solve_network", solved)
     sizes = ["camera={width: 120, height: 100}", "projector={width: 107, height: 60}"]
     settings = [word for size in sizes for word in ("--set", size)]
     config = ROOT / "configs" / "thing-network-sim.yaml"

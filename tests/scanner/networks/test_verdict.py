@@ -7,7 +7,7 @@ import pytest
 
 from calib.geometry import Matches, Pose, mapped
 from calib.networks import Warps, estimate_network, joined
-from calib.synthetic import RoomOptions, SyntheticNetwork, networks, random_network
+from calib.synthetic import RoomOptions, SyntheticNetwork, random_network, stations
 from scanner.networks.captures import Captures
 from scanner.networks.solve import SolvedNetwork
 from scanner.networks.verdict import verdict_on
@@ -80,14 +80,14 @@ def test_a_camera_that_was_moved_between_its_captures_is_refused() -> None:
 
 
 def test_two_devices_in_one_place_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    apart = networks._poses
+    apart = stations._poses
 
     def close(*args: Any) -> dict[str, Pose]:
         poses = apart(*args)
         beside = poses["camera1"].translation + np.array([0.03, 0.02, 0.0])
         return {**poses, "camera2": Pose(poses["camera1"].rotation, beside)}
 
-    monkeypatch.setattr(networks, "_poses", close)
+    monkeypatch.setattr(stations, "_poses", close)
     made = random_network(np.random.default_rng(3), 2, 1, RoomOptions(boxes=1, count=15_000))
 
     verdict = verdict_of(made, made.captures)

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Calibration, Corner, DeviceSigmas, Intrinsics, Pose, Sigmas
 from scanner.configuration import ScaleSettings
 from scanner.errors import InputError
-from scanner.quantities.calibration_numbers import intrinsic_errors_percent
-from scanner.quantities.calibration_table import calibration_table, truth_line
+from scanner.quantities.calibration_numbers import calibration_table, intrinsic_errors_percent, truth_line
 from scanner.reconstruction import scaled
 from scanner.ui import Terminal
 

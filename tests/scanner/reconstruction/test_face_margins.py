@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.geometry import NO_FACE, Matches
-from scanner.reconstruction.face_masks import without_margins
+from scanner.reconstruction.calibrate import without_margins
 
 SIZE = (80, 60)
 

@@ -7,7 +7,7 @@ import pytest
 from calib.geometry import Matches, Size
 from scanner.errors import InputError
 from scanner.io import write_png
-from scanner.reconstruction.face_masks import label_by_masks, read_masks
+from scanner.reconstruction.calibrate import label_by_masks, read_masks
 
 SIZE = Size(40, 30)
 

@@ -8,7 +8,7 @@ import pytest
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
 from scanner.decoding.motion import CoordinateShift, MotionEstimate
-from scanner.reconstruction.moved_captures import refuse_costly, with_motion_findings
+from scanner.reconstruction.earlier_captures import refuse_costly, with_motion_findings
 from scanner.results import Decoded, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import room
 from tests.support.result_folder import SIZES, calibrated_report

@@ -220,6 +220,6 @@ def test_an_interruption_ends_reading_at_once(
 def test_a_film_without_frames_is_given_up(tmp_path: Path) -> None:
     write_film(tmp_path / "film.mp4")
     with opened_film(tmp_path / "film.mp4") as (_, film):
-        film.waits_since -= film_bytes._LONGEST_WAIT_S
+        film.waits_since -= video_file._LONGEST_WAIT_S
         with pytest.raises(InputError, match="no frame came in 60 s"):
             film.read(1)

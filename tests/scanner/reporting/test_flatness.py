@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from scanner.reporting.flatness import flatness
+from scanner.reporting.residuals import flatness
 from tests.support.cloud_scene import room
 from tests.support.result_folder import calibrated_report
 

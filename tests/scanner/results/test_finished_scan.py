@@ -8,7 +8,7 @@ import pytest
 from calib.geometry import intersect
 from scanner.errors import InputError
 from scanner.io import read_cloud, write_ply
-from scanner.results.finished_scan import read_finished_scan
+from scanner.results.finished_result import read_finished_scan
 from tests.support.cloud_scene import room
 from tests.support.result_folder import Written, write_result
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from scanner.rooms.blended_cloud import denoised
+from scanner.rooms.mesh import denoised
 from tests.scanner.rooms.conftest import SolvedExample
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from calib.geometry import rotation_about
 from calib.scene import NextStation
-from scanner.rooms.scene_guidance import _next, guide_without_corner
+from scanner.rooms.scene_rig import _next, guide_without_corner
 from scanner.ui import Terminal
 from tests.support.things import config_for, decoded, thing_stations
 

@@ -15,7 +15,7 @@ from scanner.commands import main
 from scanner.configuration import Config
 from scanner.io import write_calibration, write_matches
 from scanner.results import Decoded, GivenMatches
-from scanner.rooms import live, solve
+from scanner.rooms import jobs, solve
 from scanner.rooms.jobs import scan_room
 from scanner.rooms.solve import segment_capture, solve_room
 from scanner.stations import RigStart, given_rig, read_stations
@@ -87,7 +87,7 @@ def test_a_changed_rig_is_left_out_even_if_its_surfaces_fit(example: SolvedExamp
         (outlier_station.name, outlier_station.finding.kind.name) for outlier_station in solved.outlier_stations
     ] == [(str(tmp_path / "changed.npz"), "changed-rig")]
     assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 2)}
-    (told,) = live._guidance(captures[:2], truth)
+    (told,) = jobs._guidance(captures[:2], truth)
     assert "was taken with another rig" in told
     assert "epipolar" in told
 
@@ -126,7 +126,7 @@ def test_without_open3d_nothing_is_started(
 @pytest.mark.parametrize(("pair_s", "compared"), [(0.0, 24), (0.1, 24), (0.2, 17), (2.0, 6), (100.0, 2)])
 def test_live_compares_with_as_many_stations_as_time_allows(pair_s: float, compared: int) -> None:
     """With 24 stations; every compared pair takes time."""
-    comparison = live.StationComparison(30.0, pair_s)
+    comparison = jobs.StationComparison(30.0, pair_s)
     assert comparison.within_patience(24) == compared
     assert comparison.within_patience(2) == 2
     assert comparison.within_patience(1) == 1
@@ -136,7 +136,7 @@ def test_live_compares_with_as_many_stations_as_time_allows(pair_s: float, compa
 def test_live_takes_note_of_how_long_a_pair_takes(monkeypatch: pytest.MonkeyPatch, count: int, pairs: int) -> None:
     """Twelve seconds for all of five stations: of seven, only three are compared then."""
     now_s = [100.0]
-    monkeypatch.setattr("scanner.rooms.live.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("scanner.rooms.jobs.time.monotonic", lambda: now_s[0])
     chosen = list[int]()
 
     def compare(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
@@ -144,7 +144,7 @@ def test_live_takes_note_of_how_long_a_pair_takes(monkeypatch: pytest.MonkeyPatc
         now_s[0] += 12.0
         return ["turned"]
 
-    comparison = live.StationComparison(4.0, compare=compare)
+    comparison = jobs.StationComparison(4.0, compare=compare)
     captures = cast(Sequence[Decoded], range(count))
     if count == 7:
         comparison.pair_s = 1.2
@@ -166,7 +166,7 @@ def test_live_reports_overlap_and_where_to_turn(
         return Decoded(CaptureMetadata(Size(*CAMERA), Size(*PROJECTOR)), station.matches, GivenMatches(), name)
 
     monkeypatch.setattr("scanner.stations.take", take)
-    captures, start = live.take_room(config, 3, tmp_path, Terminal())
+    captures, start = jobs.take_room(config, 3, tmp_path, Terminal())
     assert [capture.name for capture in captures] == ["Station 1", "Station 2", "Station 3"]
     assert start.corners
     told = " ".join(capsys.readouterr().out.split())

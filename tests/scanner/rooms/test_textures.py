@@ -11,10 +11,9 @@ import pytest
 from calib.numerics import Floats
 from scanner.exporting import Piece, write_pieces
 from scanner.results import GivenMatches
-from scanner.rooms.common_light import PointsInPicture, in_common_light
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.mesh import CAMERA_FROM_ROOM, fused
-from scanner.rooms.textures import textured
+from scanner.rooms.textures import PointsInPicture, in_common_light, textured
 from tests.scanner.rooms.conftest import SolvedExample
 
 

@@ -8,7 +8,7 @@ import pytest
 from scanner.io import read_cloud
 from scanner.viewing.crop import BoxFrame, box_within, frame_of, write_cropped
 from scanner.viewing.result import CaptureCloud
-from scanner.viewing.surface import surface_of
+from scanner.viewing.scene import surface_of
 
 
 def whole(frame: BoxFrame) -> np.ndarray:
@@ -59,6 +59,6 @@ def test_the_surface_is_between_the_points_in_the_box(cloud: CaptureCloud, monke
     assert all_of_them == len(surface.triangles)
     assert 0.3 < surface.glb(colours, inside)[1] / all_of_them < 0.7
     assert surface.glb(colours, np.zeros(len(cloud.points), np.bool_)) == (b"", 0)
-    monkeypatch.setattr("scanner.viewing.surface._MOST_POINTS", len(cloud.points) // 4 + 1)
+    monkeypatch.setattr("scanner.viewing.scene._MOST_POINTS", len(cloud.points) // 4 + 1)
     coarse = surface_of(cloud)
     assert 0.15 < len(coarse.triangles) / len(surface.triangles) < 0.35

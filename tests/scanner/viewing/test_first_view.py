@@ -12,12 +12,22 @@ from PIL import Image, ImageSequence
 
 from calib.numerics import Floats
 from scanner.viewing.colouring import Colouring, coloured
-from scanner.viewing.geometry import FIELD_OF_VIEW_RAD, Viewpoint, WindowView, turned, viewpoint
-from scanner.viewing.label_layout import TextLabel, area_of, arranged
-from scanner.viewing.pictures import Margin, completed, gif, png
+from scanner.viewing.geometry import (
+    FIELD_OF_VIEW_RAD,
+    ScaleBar,
+    TextLabel,
+    Viewpoint,
+    WindowView,
+    area_of,
+    arranged,
+    scale_bar,
+    scale_bar_html,
+    turned,
+    viewpoint,
+)
+from scanner.viewing.keeping import Margin, completed, gif, png
 from scanner.viewing.result import CaptureCloud, ViewedCloud
-from scanner.viewing.scale_bar import ScaleBar, scale_bar, scale_bar_html
-from scanner.viewing.see_through import PartKind, room_parts
+from scanner.viewing.windows import PartKind, room_parts
 
 UP = np.array([0.0, 0.0, 1.0])
 

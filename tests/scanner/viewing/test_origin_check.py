@@ -20,8 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
-from scanner.viewing.origin_check import OriginCheck
-from scanner.viewing.server import Serving, serving
+from scanner.viewing.server import OriginCheck, Serving, serving
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from calib.geometry import Calibration
 from scanner.configuration import ScaleSettings
 from scanner.measuring import DistanceMeasurement, PointNumber
-from scanner.viewing.picking import Picked, point_at, scale_from
+from scanner.viewing.clicking import Picked, point_at, scale_from
 from scanner.viewing.result import CaptureCloud
 from tests.support.result_folder import Written
 

@@ -7,7 +7,7 @@ from calib.geometry import Matches, midpoints
 from hw.errors import DeviceError
 from hw.settings import SimulatedRigSettings, ThingSettings
 from hw.simulated.things import SimulatedThing
-from hw.simulated.things.solids import draw_solid
+from hw.simulated.things.stage import draw_solid
 
 CAMERA, PROJECTOR = (153, 128), (427, 240)
 

@@ -15,8 +15,8 @@ import yaml
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
 from scanner.exporting import Mesh
-from scanner.exporting.mapping.lens_shift import for_programs
-from scanner.exporting.mapping.wall import largest_wall
+from scanner.exporting.mapping.scene import largest_wall
+from scanner.exporting.mapping.write import for_programs
 from tests.support.command_line import run
 from tests.support.mapped_room import (
     CAMERA,

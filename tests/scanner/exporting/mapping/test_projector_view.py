@@ -9,7 +9,7 @@ from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats
 from scanner.exporting import Mesh
 from scanner.exporting.mapping.projector_view import view_surface
-from scanner.exporting.mapping.wall import MappedWall, WallView
+from scanner.exporting.mapping.scene import MappedWall, WallView
 from scanner.io import StoredDevice, scratch_rows
 
 WIDTH, HEIGHT, METRES = 60, 40, 0.5

@@ -14,9 +14,8 @@ from hw.open_rig import open_rig
 from hw.settings import SimulatedRigSettings
 from scanner.decoding import FinestStripes
 from scanner.io import MATCHES_FILE, read_calibration, read_matches
-from scanner.reconstruction.keystone.measure import Keystone, measure_keystone
-from scanner.reconstruction.keystone.panel_pixels import beginning_as
-from scanner.reconstruction.keystone.planes import planes_at
+from scanner.reconstruction.keystone.beat import planes_at
+from scanner.reconstruction.keystone.measure import Keystone, beginning_as, measure_keystone
 from scanner.results import CALIBRATION_FILE, read_verdict
 from tests.support.command_line import run
 from tests.support.findings import the_only

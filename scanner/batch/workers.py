@@ -1,18 +1,32 @@
-"""Worker processes, one per processor; a process is restarted if it dies or exceeds its share of the memory."""
+"""What decodes the captures of a batch: processes of this computer, one per processor, or the workers of a running Dask
+scheduler, which may be on many machines.
+
+A process is restarted if it dies or exceeds its share of the memory.
+"""
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import signal
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
+from typing import TYPE_CHECKING
+from uuid import uuid4
 
+from hw.optional_parts import BATCH
 from scanner.batch.listing import BatchJob
 from scanner.batch.rows import BatchRow
 from scanner.batch.work import Delivery, Work
+from scanner.errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 # A capture that was running when this many processes died is assumed to kill them.
 DEATHS = 3
@@ -20,6 +34,7 @@ DEATHS = 3
 _LOOK_S, _ALLOWED = 0.5, 0.95
 # Threads of libraries would compete with each other.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_REACHED_WITHIN_S = 20
 
 
 class WorkerDiedError(Exception):
@@ -145,3 +160,73 @@ def _memory_of(pid: int | None) -> float:
     except (OSError, IndexError):
         return 0.0
     return float(int(pages) * os.sysconf("SC_PAGE_SIZE"))
+
+
+class DaskWorkers:
+    """The workers of a scheduler that a client is connected with. Dask moves work off workers that die."""
+
+    def __init__(self, client: "Client") -> None:
+        self._client = client
+
+    def results(
+        self, work: Work, jobs: Iterable[BatchJob], delivery: Delivery
+    ) -> Iterator[tuple[BatchJob, BatchRow | Exception]]:
+        """The outcome of each job, in the order in which they finish.
+
+        At most one task per thread is submitted at a time. Of more, Dask would also blame the waiting ones for a
+        worker's death, and a million would fill the scheduler's memory.
+        """
+        from distributed import KilledWorker, as_completed
+
+        waiting, run = iter(jobs), uuid4().hex
+        of_future: dict[str, BatchJob] = {}
+        running = as_completed()
+
+        def fill() -> None:
+            threads = max(1, sum(self._client.nthreads().values()))
+            for job in islice(waiting, max(0, threads - len(of_future))):
+                future = self._client.submit(work, job, delivery, key=f"{job.name}/{run}", pure=False)
+                of_future[future.key] = job
+                running.add(future)
+
+        fill()
+        for future in running:
+            job = of_future.pop(future.key)
+            fill()
+            try:
+                yield job, future.result()
+            except KilledWorker:
+                yield job, WorkerDiedError()
+            except Exception as error:
+                yield job, error
+
+    def __str__(self) -> str:
+        """Return the number of workers, their memory, and where to watch them."""
+        workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        limits = sorted({worker["memory_limit"] for worker in workers})
+        memory = " to ".join(f"{limit / 2**30:.1f} GiB" for limit in (limits[:1] + limits[1:][-1:])) or "no memory yet"
+        many = f"{len(workers)} worker{'' if len(workers) == 1 else 's'}"
+        return f"{many} of {memory} each; Dask's dashboard: {self._client.dashboard_link}"
+
+
+def refuse_without_dask() -> None:
+    """Raise InputError, saying what to install, if Dask is not there."""
+    with BATCH.needed("--scheduler", "Dask", InputError):
+        import distributed
+    logging.getLogger(distributed.__name__).setLevel(logging.CRITICAL)
+
+
+@contextmanager
+def dask_workers(scheduler: str) -> Iterator[DaskWorkers]:
+    """Workers of the scheduler at an address, for as long as the context lasts. Raises InputError if none answers."""
+    from distributed import Client
+
+    try:
+        client = Client(scheduler, timeout=_REACHED_WITHIN_S)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError(
+            f"{scheduler}: no Dask scheduler answers within {_REACHED_WITHIN_S} s; start one with 'dask "
+            "scheduler', and workers with 'dask worker ADDRESS --nthreads 1 --nworkers N'"
+        ) from error
+    with client:
+        yield DaskWorkers(client)
