@@ -24,8 +24,20 @@ import numpy as np
 from calib.numerics import Image
 from scanner.capture import open_capture
 from scanner.patterns import Black, Gray, Pattern, White
-from tests.support.foreign_captures import ENDS, Photographer, bits, named, photographer
-from tests.support.foreign_folders import CAMERA, FOREIGN, PAIRS, PROJECTOR, TURNS, imported, same
+from tests.support.foreign_captures import (
+    CAMERA,
+    ENDS,
+    FOREIGN,
+    PAIRS,
+    PROJECTOR,
+    TURNS,
+    Photographer,
+    bits,
+    imported,
+    named,
+    photographer,
+    same,
+)
 
 _DARKER, _BRIGHTER = 0.7, 1.4  # gains of automatic exposure
 

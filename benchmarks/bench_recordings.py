@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from filming.camera import Camera, Clip, film
-from filming.player import Played, play
+from filming import Camera, Clip, Played, film, play
 from rich.console import Console
 from rich.table import Table
 

@@ -19,8 +19,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from room_balls import centres_apart
-from room_surfaces import from_surfaces
+from room_truth import centres_apart, from_surfaces
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, Intrinsics, Pose

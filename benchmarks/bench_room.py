@@ -22,8 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from room_balls import centres_apart
-from room_surfaces import from_surfaces
+from room_truth import centres_apart, from_surfaces
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Pose, Size

@@ -17,9 +17,20 @@ import mitsuba as mi
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from rendered.devices import Array, Device, Place, Rig, draw_rig, world_rays
-from rendered.furnished import ring, room
-from rendered.light import bounced_light, direct_light, spread, trace
+from rendered import (
+    Array,
+    Device,
+    Place,
+    Rig,
+    bounced_light,
+    direct_light,
+    draw_rig,
+    ring,
+    room,
+    spread,
+    trace,
+    world_rays,
+)
 
 _FULL_WELL, _READ_NOISE, _AMBIENT = 20_000.0, 8.0, 0.02  # electrons, electrons, share of white
 _FINE = 64  # steps per pixel of the picture, interpolated linearly

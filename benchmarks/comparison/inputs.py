@@ -9,8 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from filming.camera import Camera, Clip, film
-from filming.player import play
+from filming import Camera, Clip, film, play
 from numpy.typing import NDArray
 
 from calib.numerics import Image

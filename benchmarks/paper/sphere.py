@@ -16,11 +16,11 @@ from calib.pointcloud import fit_sphere
 from calib.refusal import RefusalError
 from hw.simulated import Label, place_room
 from paper.captures import Captured, Setup, captured, settings_of, thinned, without_distortion
+from paper.colmap import MATCHES, centre_start, paper_start, variants
 from paper.experiment import Experiment, Figures, room_of, rooms
 from paper.methods import by_paper, known_point, refined
 from paper.plots import NO_POINT
 from paper.published import SPHERE_MM
-from paper.two_views import MATCHES, centre_start, paper_start, variants
 
 CELLS = 40  # cells of a heat map across the ball
 # At the rim, a pixel also sees the background.

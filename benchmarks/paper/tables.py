@@ -6,8 +6,9 @@ import numpy as np
 
 from calib.geometry import Calibration, Matches
 from paper.captures import QUICK, Setup, captured, thinned, without_distortion
+from paper.colmap import MATCHES as MATCHES_FOR_COLMAP
+from paper.colmap import VIEWS, centre_start, drawn_start, focal_error_percent, paper_start, variants, with_known_points
 from paper.experiment import Experiment, Figures, room_of, rooms
-from paper.many_views import VIEWS, focal_error_percent
 from paper.methods import (
     ORDINARY_WALLS_DEG,
     Errors,
@@ -21,8 +22,6 @@ from paper.methods import (
 )
 from paper.page_tables import BOTH_POINTS
 from paper.published import DOWNSAMPLED, MATCHES
-from paper.two_views import MATCHES as MATCHES_FOR_COLMAP
-from paper.two_views import centre_start, drawn_start, paper_start, variants, with_known_points
 from scanner.quantities import intrinsic_errors_percent
 
 _DRAWS, _QUICK_DRAWS = 5, 1

@@ -26,8 +26,8 @@ from scanner.console import Activity, ConsoleSettings, IdlePicture, Worker
 from scanner.ui import Terminal
 from tests.support import fake_gphoto2
 from tests.support.fake_gphoto2 import Device, GPhoto2Error
+from tests.support.loopback_bench import SimulatedWindow
 from tests.support.notebook import Notebook, until
-from tests.support.simulated_window import SimulatedWindow
 
 pytestmark = pytest.mark.xdist_group("gphoto2")  # what the module shares is made once
 

@@ -17,7 +17,7 @@ from hw.opencv import OpenCVRigSettings
 from hw.projector import display_of
 from hw.real_devices import RealDevices, RealPair
 from hw.rig import Capabilities
-from tests.support.simulated_window import SimulatedWindow
+from tests.support.loopback_bench import SimulatedWindow
 
 CAMERA, PROJECTOR = (8, 6), (4, 3)
 

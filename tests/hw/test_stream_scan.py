@@ -26,9 +26,8 @@ from scanner.commands import main
 from scanner.commands import scan as scan_command
 from scanner.console import Activity, ConsoleSettings, IdlePicture, Worker
 from scanner.patterns import draw
-from tests.support.loopback_bench import after_frames
+from tests.support.loopback_bench import SimulatedWindow, after_frames
 from tests.support.notebook import Notebook, until
-from tests.support.simulated_window import SimulatedWindow
 
 PERIOD_S = 1 / 60
 _NOISE = 1.0  # grey levels

@@ -1,4 +1,7 @@
-"""A loopback rig for tests, scans with it, and the expected frames."""
+"""A loopback rig for tests, scans with it, and the expected frames.
+
+Screens without a display: a projector that replaces a window, and the loopback rig's, which a test draws on.
+"""
 
 import signal
 import subprocess
@@ -14,8 +17,10 @@ from threading import Thread
 import numpy as np
 
 from hw.loopback import CameraProcess, LoopbackSettings, VirtualScreen, camera_process, shown_on, virtual_screen
+from hw.projector import Screen
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedRoom
+from hw.timing import Swap
 from scanner.capture import Recording, open_capture
 from scanner.commands import main
 from scanner.patterns import Pattern, draw
@@ -29,6 +34,49 @@ projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
 sequence: {{preset: quick, cell: 12, inverses: true}}
 corner: {{squareness_deg: 0}}
 """
+
+
+class SimulatedWindow:
+    """A window of (width, height); `show_light` is called with each flipped picture."""
+
+    renderer = "none"
+
+    def __init__(self, size: tuple[int, int], show_light: Callable[[np.ndarray], object]) -> None:
+        self.size = size
+        self.screen = Screen(0, "screen", 0, 0, *size, 60.0)
+        self._show_light = show_light
+        self._prepared = np.zeros(size[::-1], np.uint8)
+
+    def prepare(self, image: np.ndarray) -> None:
+        self._prepared = image
+
+    def flip(self) -> Swap:
+        begun_s = time.monotonic()
+        self._show_light(self._prepared)
+        return Swap(begun_s, time.monotonic())
+
+    def show(self, image: np.ndarray) -> None:
+        self.prepare(image)
+        self.flip()
+
+
+SIZE = (6, 4)
+
+
+class FakeScreen:
+    """A screen that a test draws on; `looked_s`: time of the last look at it."""
+
+    def __init__(self) -> None:
+        self.level = 0
+        self.looked_s = 0.0
+
+    def pixels(self) -> np.ndarray:
+        self.looked_s = time.monotonic()
+        return np.full(SIZE[::-1], self.level * 0x010101, np.uint32)
+
+
+def as_light(image: np.ndarray) -> np.ndarray:
+    return image.astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from filming.camera import Camera, Clip, film
-from filming.player import Played, play
+from filming import Camera, Clip, Played, film, play
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, Pose, Size

@@ -1,4 +1,7 @@
-"""Faces in matches of furnished rooms and boxes, compared with the true surfaces."""
+"""Faces in matches of furnished rooms and boxes, compared with the true surfaces.
+
+Faces are found with a known principal point, which is far from the centre of a cropped picture.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -11,6 +14,8 @@ from calib.numerics import Ints
 from calib.plane_segmentation.faces import Faces, find_faces
 from calib.refusal import RefusalError
 from calib.synthetic import random_capture
+from hw.settings import SimulatedRigSettings
+from hw.simulated import Label, place_room
 from tests.support.room import SPHERE, Ball, Box
 from tests.support.scenes import (
     OUTLIER,
@@ -22,6 +27,9 @@ from tests.support.scenes import (
     plain_room,
     score,
 )
+from tests.support.whole_room import observed
+
+CAMERA, PROJECTOR = (480, 270), (854, 480)
 
 
 def faces_of(scene: Scene) -> Faces:
@@ -273,3 +281,18 @@ def test_matches_in_one_line_are_refused() -> None:
     line = np.stack([x, np.full(len(x), 500.0)], axis=1)
     with pytest.raises(RefusalError):
         find_faces(Matches(line, line * 0.5), (1224, 1024), (854, 480))
+
+
+def test_with_a_known_principal_point_a_box_is_not_taken_for_a_wall() -> None:
+    """The camera shows the upper two thirds of its sensor; rotated boxes stand in front of the corner."""
+    room = place_room(SimulatedRigSettings(seed=15), CAMERA, PROJECTOR)
+    seen = observed(room, np.random.default_rng(0), 0.05)
+    point = seen.calibration.camera.principal_point_px
+    assert abs(point[1] - (CAMERA[1] - 1) / 2) > 70
+    found = find_faces(seen.matches, CAMERA, PROJECTOR, point).matches.face
+    assert found is not None
+    label = seen.scene.labels[seen.surface]
+    assert 0.97 < np.mean(label[found >= 0] <= Label.FLOOR) <= 1
+    for face in range(3):
+        (mostly, share) = np.unique(label[found == face], return_counts=True)
+        assert share.max() / share.sum() > 0.97, mostly

@@ -1,3 +1,5 @@
+"""Where windows hold too few points, neighbours within a window's width decide."""
+
 from dataclasses import replace
 from typing import TypeVar
 
@@ -7,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calib.geometry import Matches
-from calib.pointcloud.organised_cloud import Cloud, build_cloud
+from calib.pointcloud import surface
+from calib.pointcloud.organised_cloud import Cloud, _neighbour_planes, build_cloud
 from scanner.capture import open_capture
 from scanner.decoding import Decoder
 from scanner.io import read_calibration
@@ -15,6 +18,8 @@ from tests.support.cloud_scene import CAMERA, SPHERE_RADIUS_M, Scene, room, with
 from tests.support.places import REAL_CAPTURES
 
 SLTK = REAL_CAPTURES / "sltk-scan0020"
+FOCAL_PX = 500.0
+WINDOW = 7  # the smallest, which smooth surfaces get
 
 
 @pytest.fixture(scope="module")
@@ -242,3 +247,33 @@ def sltk_reference() -> NDArray[np.float64]:
     body = content[content.index(b"end_header\n") + len(b"end_header\n") :]
     vertices = np.frombuffer(body, dtype=[("at", "<f4", 3), ("colour", "u1", 3)])
     return vertices["at"].astype(np.float64) * (1, -1, -1)
+
+
+def wall_and_lone_point(apart: int) -> NDArray[np.float32]:
+    """A slanted wall, and one more point of it `apart` px to the right of its edge."""
+    y, x = np.mgrid[:80, :120].astype(np.float64)
+    inverse = 0.5 + 0.1 * (x - 60) / FOCAL_PX
+    points = np.stack([(x - 60) / FOCAL_PX, (y - 40) / FOCAL_PX, np.ones_like(x)], axis=-1) / inverse[..., None]
+    kept = x < 60
+    kept[40, 59 + apart] = True
+    points[~kept] = np.nan
+    return points.astype(np.float32)
+
+
+@pytest.mark.parametrize(("apart", "isolated"), [(WINDOW - 2, False), (WINDOW, False), (WINDOW + 1, True)])
+def test_a_point_beside_a_wall_belongs_to_it_within_a_window(apart: int, isolated: bool) -> None:
+    points = wall_and_lone_point(apart)
+    normals = surface(points, FOCAL_PX)
+    assert bool(normals.isolated[40, 59 + apart]) == isolated
+    assert np.count_nonzero(normals.isolated) == isolated
+    if not isolated:
+        expected = -np.array([0.1, 0.0, 0.5]) / np.hypot(0.1, 0.5)
+        np.testing.assert_allclose(normals.normals[40, 59 + apart], expected, atol=2e-3)
+
+
+def test_a_point_with_nan_reach_is_isolated_and_faces_the_camera() -> None:
+    """As with extreme lens distortion."""
+    points = np.random.default_rng(0).normal((0, 0, 5), 0.1, (20, 3)).astype(np.float32)
+    normals, isolated = _neighbour_planes(points, points, np.full(20, -1.0))
+    assert isolated.all()
+    np.testing.assert_allclose(normals, -points / np.linalg.norm(points, axis=1, keepdims=True), rtol=1e-5)

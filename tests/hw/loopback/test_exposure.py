@@ -12,7 +12,7 @@ from hw.loopback.camera import MONO_8, MONO_16, RGB_8, ExposureRequest, RoomSens
 from hw.loopback.screen import ScreenHistory
 from hw.settings import SimulatedRigSettings
 from hw.simulated import Sensor
-from tests.support.simulated_window import SIZE, FakeScreen, as_light
+from tests.support.loopback_bench import SIZE, FakeScreen, as_light
 
 
 class WhiteWall:

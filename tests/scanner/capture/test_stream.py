@@ -1,8 +1,11 @@
+"""Smooth errors of a film are those measured at import, plus those of any frames."""
+
 import numpy as np
 import pytest
 
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Rig
+from scanner.capture import with_smooth_errors_of_film
 from scanner.capture.stream import capture
 from scanner.patterns import draw
 from tests.support.small_capture import PATTERNS, SIZE
@@ -44,3 +47,19 @@ def test_a_camera_that_contradicts_itself_has_failed() -> None:
     mirror = Mirror(delivered=(24, 16))
     with pytest.raises(DeviceError, match=r"48 × 32.*24 × 16"):
         list(capture(Rig(mirror, mirror), PATTERNS).frames)
+
+
+@pytest.mark.parametrize(
+    ("metadata", "expected_px"),
+    [
+        ({}, 0.0003),
+        ({"recording": {"smooth_px": 0.0004}}, 0.0005),
+        ({"recording": {"smooth_px": 0.0}}, 0.0003),
+        ({"recording": {}}, 0.0012),
+        ({"recording": {"smooth_px": "small"}}, 0.0012),
+        ({"recording": {"smooth_px": float("nan")}}, 0.0012),
+        ({"recording": {"smooth_px": -1}}, 0.0012),
+    ],
+)
+def test_smooth_errors_of_a_film_are_added(metadata: dict[str, object], expected_px: float) -> None:
+    assert with_smooth_errors_of_film(0.0003, metadata) == pytest.approx(expected_px)

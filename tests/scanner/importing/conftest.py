@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.foreign_captures import Photographer, photographer
-from tests.support.foreign_folders import CAMERA, FOREIGN, PROJECTOR
+from tests.support.foreign_captures import CAMERA, FOREIGN, PROJECTOR, Photographer, photographer
 
 
 @pytest.fixture(scope="session")

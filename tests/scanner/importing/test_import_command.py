@@ -14,8 +14,20 @@ from calib.numerics import Image
 from scanner.capture import open_capture
 from scanner.decoding import Decoder
 from scanner.patterns import Axis, Black, Gray, Pattern, White
-from tests.support.foreign_captures import ENDS, Photographer, bits, named, steps
-from tests.support.foreign_folders import CAMERA, CENTRED, FOREIGN, PAIRS, PROJECTOR, imported, same
+from tests.support.foreign_captures import (
+    CAMERA,
+    CENTRED,
+    ENDS,
+    FOREIGN,
+    PAIRS,
+    PROJECTOR,
+    Photographer,
+    bits,
+    imported,
+    named,
+    same,
+    steps,
+)
 from tests.support.places import REAL_CAPTURES
 
 pytestmark = pytest.mark.xdist_group("importing")

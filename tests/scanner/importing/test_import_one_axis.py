@@ -8,8 +8,7 @@ import pytest
 from scanner.capture import open_capture
 from scanner.importing import describe_order
 from scanner.patterns import Axis, Pattern, xor_sequence
-from tests.support.foreign_captures import ENDS, Photographer, bits, named
-from tests.support.foreign_folders import AXES, KNOWN, imported
+from tests.support.foreign_captures import AXES, ENDS, KNOWN, Photographer, bits, imported, named
 
 pytestmark = pytest.mark.xdist_group("importing")
 

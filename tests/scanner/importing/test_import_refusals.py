@@ -11,8 +11,18 @@ from calib.numerics import Image
 from scanner.capture import open_capture
 from scanner.errors import InputError
 from scanner.io import read_image, write_png
-from tests.support.foreign_captures import ENDS, Photographer, bits, named, photographer
-from tests.support.foreign_folders import CAMERA, KNOWN, PAIRS, PROJECTOR, imported
+from tests.support.foreign_captures import (
+    CAMERA,
+    ENDS,
+    KNOWN,
+    PAIRS,
+    PROJECTOR,
+    Photographer,
+    bits,
+    imported,
+    named,
+    photographer,
+)
 
 pytestmark = pytest.mark.xdist_group("importing")
 

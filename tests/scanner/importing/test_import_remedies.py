@@ -13,8 +13,21 @@ from calib.numerics import Image
 from scanner.capture import open_capture
 from scanner.io import read_image
 from scanner.patterns import Black, Gray, Pattern, White
-from tests.support.foreign_captures import ENDS, Photographer, bits, named, steps
-from tests.support.foreign_folders import AXES, CENTRED, PAIRS, PROJECTOR, QUARTERS, TURNS, imported, same
+from tests.support.foreign_captures import (
+    AXES,
+    CENTRED,
+    ENDS,
+    PAIRS,
+    PROJECTOR,
+    QUARTERS,
+    TURNS,
+    Photographer,
+    bits,
+    imported,
+    named,
+    same,
+    steps,
+)
 
 pytestmark = pytest.mark.xdist_group("importing")
 

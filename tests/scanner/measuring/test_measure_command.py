@@ -1,6 +1,10 @@
-"""`scan measure` on a synthetic scene: results compared with the truth, and messages on wrong arguments."""
+"""`scan measure` on a synthetic scene: results compared with the truth, and messages on wrong arguments.
+
+Few points in a huge image take the memory of few points.
+"""
 
 import json
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +16,7 @@ from calib.geometry import Matches
 from scanner.io import read_matches, write_matches
 from tests.support.cloud_scene import CAMERA, SPHERE_RADIUS_M
 from tests.support.command_line import run
-from tests.support.result_folder import Written, write_result
+from tests.support.result_folder import Written, enlarge, write_result
 
 
 @pytest.fixture(scope="module")
@@ -203,3 +207,19 @@ def test_a_refused_capture_cannot_be_measured(tmp_path: Path, capsys: pytest.Cap
     (written.folder / "calibration.yaml").unlink()
     assert run("measure", written.folder) == 2
     assert "report.html" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("factor", [1, 30])
+def test_a_ball_is_measured_in_an_image_of_126_megapixels(tmp_path: Path, factor: int) -> None:
+    written = write_result(tmp_path / "room")
+    enlarge(tmp_path / "room", factor)
+    tracemalloc.start()
+    try:
+        assert run("measure", tmp_path / "room", "--sphere", 2 * SPHERE_RADIUS_M, "--quiet") == 0
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    (sphere,) = json.loads((tmp_path / "room-measured" / "measure.json").read_text(encoding="utf-8"))["spheres"]
+    assert sphere["diameter"] == pytest.approx(2 * SPHERE_RADIUS_M, abs=1e-3)
+    assert sphere["centre"] == pytest.approx(written.scene.sphere_centre, abs=1e-3)
+    assert peak < 600_000_000

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from filming.camera import Camera
+from filming import Camera
 
 from tests.support.room import BIT_RATE, FilmedRoom
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from filming.camera import Camera
+from filming import Camera
 
 from scanner.acquisition import decode_recording
 from scanner.capture import open_capture

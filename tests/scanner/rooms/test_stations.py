@@ -1,4 +1,7 @@
-"""Messages of `scan room` and `--stations`: foreign stations, wrong input, where to go."""
+"""Messages of `scan room` and `--stations`: foreign stations, wrong input, where to go.
+
+A full disk while a room is written: the path is named, and nothing incomplete remains.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,14 +16,17 @@ from calib.registration import Registration, StationView, register
 from scanner.capture import CaptureMetadata
 from scanner.commands import main
 from scanner.configuration import Config
+from scanner.errors import StorageError
 from scanner.io import write_calibration, write_matches
-from scanner.results import Decoded, GivenMatches
+from scanner.results import Decoded, GivenMatches, new_result
 from scanner.rooms import jobs, solve
 from scanner.rooms.jobs import scan_room
+from scanner.rooms.save import save_room
 from scanner.rooms.solve import segment_capture, solve_room
 from scanner.stations import RigStart, given_rig, read_stations
 from scanner.ui import Terminal
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
+from tests.support.little_memory import no_file_larger_than
 from tests.support.whole_room import PROJECTOR, TrueStation, stations, with_turned_projector
 
 QUIET = Terminal(quiet=True)
@@ -173,3 +179,16 @@ def test_live_reports_overlap_and_where_to_turn(
     assert "Station 2 overlaps Station 1 by 3" in told
     assert "Station 3 overlaps Station 2 by 2" in told
     assert "to the left; a third of what it sees stays the same" in told  # they go round against the clock
+
+
+def test_a_full_disk_leaves_no_incomplete_room(example: SolvedExample, tmp_path: Path) -> None:
+    out = tmp_path / "room"
+    with (
+        pytest.raises(StorageError) as caught,
+        new_result(out, Config(), overwrite=False) as folder,
+        no_file_larger_than(1_000_000),
+    ):
+        save_room(example.solved, folder, Config(), Terminal(quiet=True))
+    assert str(out) in str(caught.value)
+    assert "partial" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,7 @@
-"""The first view: labels apart, near walls seen through, a scale bar that is right, and pictures that are kept."""
+"""The first view: labels apart, near walls seen through, a scale bar that is right, and pictures that are kept.
+
+Labels are beside what they name.
+"""
 
 import re
 from dataclasses import replace
@@ -9,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, ImageSequence
+from scipy.spatial.transform import Rotation
 
 from calib.numerics import Floats
 from scanner.viewing.colouring import Colouring, coloured
@@ -27,6 +31,7 @@ from scanner.viewing.geometry import (
 )
 from scanner.viewing.keeping import Margin, completed, gif, png
 from scanner.viewing.result import CaptureCloud, ViewedCloud
+from scanner.viewing.scene import _end_of_common_edge
 from scanner.viewing.windows import PartKind, room_parts
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -176,3 +181,12 @@ def test_kept_pictures_state_scale_and_colours(cloud: CaptureCloud) -> None:
     assert twice.size == (400, 300)
     turn = Image.open(BytesIO(gif(completed(np.roll(drawn, step, axis=1), Margin(scale), 1.0) for step in (0, 40, 80))))
     assert (turn.format, sum(1 for _ in ImageSequence.Iterator(turn)), turn.info["loop"]) == ("GIF", 3, 0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_angles_label_is_two_thirds_along_the_common_edge_of_its_faces(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    vertex, legs = rng.normal(size=3), Rotation.random(random_state=seed).as_matrix() * rng.uniform(1, 3, (3, 1))
+    first = vertex + np.array([np.zeros(3), legs[0], legs[0] + legs[1], legs[1]])
+    second = vertex + np.array([np.zeros(3), legs[0], legs[0] + legs[2], legs[2]])
+    np.testing.assert_allclose(_end_of_common_edge(first, second), vertex + 2 / 3 * legs[0], atol=1e-12)

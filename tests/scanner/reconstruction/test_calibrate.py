@@ -1,15 +1,18 @@
+"""Faces lose the margin where a blurred lens mixes them."""
+
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calib.geometry import Matches, Size
+from calib.geometry import NO_FACE, Matches, Size
 from scanner.errors import InputError
 from scanner.io import write_png
-from scanner.reconstruction.calibrate import label_by_masks, read_masks
+from scanner.reconstruction.calibrate import label_by_masks, read_masks, without_margins
 
 SIZE = Size(40, 30)
+SIZE_OF_WALLS = (80, 60)
 
 
 def draw_mask(folder: Path, name: str, columns: slice, shape: tuple[int, ...] = (30, 40), value: int = 255) -> None:
@@ -68,3 +71,27 @@ def test_wrong_masks_are_refused(masks: Path, name: str) -> None:
 def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder of masks"):
         read_masks(tmp_path / "masks", SIZE)
+
+
+def halves() -> Matches:
+    """Two faces side by side that meet at column 40; one of them has a pixel without a match."""
+    row, column = np.divmod(np.arange(SIZE_OF_WALLS[0] * SIZE_OF_WALLS[1]), SIZE_OF_WALLS[0])
+    there = ~((row == 30) & (column == 20))
+    pixels = np.stack([column, row], axis=1)[there].astype(np.float64)
+    return Matches(pixels, pixels).with_faces((pixels[:, 0] >= 40).astype(np.int32))
+
+
+def test_with_a_sharp_lens_faces_keep_their_margins() -> None:
+    matches = halves()
+    assert without_margins(matches, SIZE_OF_WALLS, 0.0) is matches
+    assert without_margins(matches, SIZE_OF_WALLS, 0.9) is matches
+
+
+def test_matches_within_two_blur_sigmas_of_the_border_lose_their_face() -> None:
+    found = without_margins(halves(), SIZE_OF_WALLS, 4.0)
+    assert found.face is not None
+    column, row = found.camera_px.T
+    near = np.abs(column - 39.5) < 4
+    assert np.all(found.face[near] == NO_FACE)
+    inner = (np.abs(column - 39.5) > 5) & (np.minimum(column, 79 - column) > 5) & (np.minimum(row, 59 - row) > 5)
+    np.testing.assert_array_equal(found.face[inner], column[inner] >= 40)

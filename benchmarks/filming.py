@@ -1,9 +1,4 @@
-"""A phone in front of a projector: rolling shutter, exposure, noise, tone curve, sharpening, encoder, independent
-clocks.
-
-Nothing here depends on the reader of recordings. The projector responds with a delay and scans out its picture from top
-to bottom, at refreshes of its own clock. The camera integrates the light exactly, row by row.
-"""
+"""Films of a simulated room by an unsynchronised camera: player, projector, phone, encoder."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,9 +11,9 @@ import cv2
 import numpy as np
 
 from calib.numerics import Floats, Image
-from filming.player import Played
 from hw.simulated import Light
 
+_SAME = 1.0  # mean difference of grey levels below which a frame repeats the previous picture
 _STEPS = 60_000  # codes of light in stored pictures
 _TICKS = 90_000
 _CODES = 65_535  # codes of light in the table of a tone curve
@@ -32,6 +27,38 @@ _TONES: dict[str, Callable[[Floats], Floats]] = {
     # Filmic: a toe, a shoulder, and more contrast between them (Hable's curve, normalised).
     "filmic": lambda light: (_hable(2.2 * light) / _hable(np.array(2.2))) ** (1 / 2.2),
 }
+
+
+@dataclass(frozen=True)
+class Played:
+    """`pictures`: 8-bit images as sent to the projector; `shown`: their indices and start times, in order."""
+
+    pictures: list[Image]
+    shown: list[tuple[float, int]]
+    length_s: float
+
+
+def play(video: Path) -> Played:
+    """Decode a whole video; repeated pictures are kept once."""
+    pictures: list[Image] = []
+    shown: list[tuple[float, int]] = []
+    rate = 30.0
+    with av.open(str(video)) as container:
+        stream = container.streams.video[0]
+        rate = float(stream.average_rate or rate)
+        number = 0
+        for number, frame in enumerate(container.decode(stream)):
+            grey = cv2.cvtColor(frame.to_ndarray(format="rgb24"), cv2.COLOR_RGB2GRAY)
+            if shown and _alike(grey, pictures[shown[-1][1]]):
+                continue
+            known = next((index for index, picture in enumerate(pictures) if _alike(grey, picture)), len(pictures))
+            pictures[known:] = pictures[known:] or [grey]
+            shown.append((number / rate, known))
+    return Played(pictures, shown, (number + 1) / rate)
+
+
+def _alike(one: Image, other: Image) -> bool:
+    return float(np.mean(cv2.absdiff(one, other))) < _SAME
 
 
 def _hable(x: Floats) -> Floats:

@@ -1,1 +1,0 @@
-"""Films of a simulated room by an unsynchronised camera: player, projector, phone, encoder."""
