@@ -7,8 +7,7 @@ from typing import Any
 
 from hw.backends import BACKENDS
 from scanner.commands.devices import find_devices
-from scanner.commands.options_of_rigs import NewCommand
-from scanner.commands.rigs import RIGS
+from scanner.commands.options_of_rigs import RIGS, NewCommand
 from scanner.configuration import check_text, example, with_key
 from scanner.errors import InputError
 from scanner.io import flow_yaml, new_file, parse_yaml

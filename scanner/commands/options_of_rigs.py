@@ -1,4 +1,6 @@
-"""Commands about a rig, before a scan or beside it, and about captures of other programs: their options."""
+"""Commands about a rig, before a scan or beside it, and about captures of other programs: their options, and the rigs
+that `scan new` offers, each with its commented configuration.
+"""
 
 from argparse import ArgumentTypeError
 from dataclasses import dataclass
@@ -17,10 +19,27 @@ from scanner.commands.command import (
     switch,
     with_settings,
 )
-from scanner.commands.rigs import RIGS
 
 _QUIET = "print nothing but errors"
 _LONGEST_WATCH_S = 3600.0
+
+
+@dataclass(frozen=True)
+class NewRig:
+    """`example`: a file of configs/. What is found of the `backend`'s cameras, and of screens, is written into it."""
+
+    about: str
+    example: str
+    backend: str | None = None
+
+
+RIGS = {
+    "simulated": NewRig("a simulated room corner; needs nothing", "room-sim.yaml"),
+    "whole-room": NewRig("a simulated room, to scan with --stations", "room-whole-sim.yaml"),
+    "aravis": NewRig("a GenICam camera (GigE or USB3 Vision) and a projector", "room.yaml", "aravis"),
+    "opencv": NewRig("a webcam or a network camera, and a projector", "room-webcam.yaml", "opencv"),
+    "gphoto2": NewRig("a tethered photo camera, and a projector", "room-photo-camera.yaml", "gphoto2"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)

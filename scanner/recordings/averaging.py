@@ -19,8 +19,7 @@ from scanner.patterns import Axis, Phase
 from scanner.recordings.clocks import Clocks
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import Light, VideoSamples
-from scanner.recordings.tone_curve import ToneCurve
-from scanner.recordings.video_file import VideoFile
+from scanner.recordings.video_file import ToneCurve, VideoFile
 from scanner.recordings.weights import PictureWeights
 from scanner.ui import Progress
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calib.numerics import Floats
-from scanner.recordings.clocks import Clocks
+from scanner.recordings.clocks import Clocks, Loop
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
 from scanner.recordings.shares import (
@@ -33,8 +33,7 @@ from scanner.recordings.shares import (
     observe,
     predicted,
 )
-from scanner.recordings.start_marks import Loop
-from scanner.recordings.tone_curve import ToneCurve
+from scanner.recordings.video_file import ToneCurve
 
 _MOST_ROUNDS, _SETTLED = 4, 0.1
 # Prior of the tone curve: exponent and contrast with standard deviations.

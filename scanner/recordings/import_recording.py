@@ -12,10 +12,9 @@ from scanner.io import flow_yaml, write_png
 from scanner.patterns import FORMAT, aspect_to_dict, frame_line, size_to_dict
 from scanner.recordings.averaging import average, image_of, noise_of, smooth_px
 from scanner.recordings.clock_fit import fit_times_and_clocks
-from scanner.recordings.clocks import Clocks, exposure_text
+from scanner.recordings.clocks import Clocks, exposure_text, find_loops
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples, take_samples
-from scanner.recordings.start_marks import find_loops
 from scanner.recordings.steadiness import exposure_range, findings_on_steadiness, moved_px, white_frames
 from scanner.recordings.video_file import open_video
 from scanner.recordings.weights import PictureWeights, picture_weights

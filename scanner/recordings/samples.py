@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Ints
 from scanner.errors import InputError
-from scanner.recordings.tone_curve import ToneCurve
-from scanner.recordings.video_file import VideoFile
+from scanner.recordings.video_file import ToneCurve, VideoFile
 from scanner.ui import Progress
 
 Light = NDArray[np.float32]

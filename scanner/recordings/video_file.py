@@ -1,4 +1,5 @@
-"""Reading a recording: the luma of its frames with their times.
+"""Reading a recording: the luma of its frames with their times, and the camera's tone curve, which gives the light of
+each code.
 
 libav by itself chooses among some 300 formats, of which playlists and descriptions of streams name further files and
 addresses. Here it is told the container, gets an open file instead of a name, and may open no other.
@@ -7,21 +8,24 @@ addresses. Here it is told the container, gets an open file instead of a name, a
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 from types import ModuleType
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.geometry import Size
-from calib.numerics import Image
+from calib.numerics import Floats, Image
 from hw.optional_parts import VIDEO
 from scanner.errors import InputError
 from scanner.io import MOST_PIXELS, opened
-from scanner.recordings.tone_curve import LumaCodes
 from scanner.shown_text import shown
 
+_SRGB_EXPONENT, _SRGB_TOE = 2.4, 0.055
+_CLIPPED = 0.985  # share of the range of codes; compression keeps nothing exactly at the end
 _KINDS = "mp4, mov, mkv, webm, avi"
 # The demuxer of files that have these bytes at this place (ISO/IEC 14496-12, QuickTime File Format, RFC 9559, RIFF).
 _CONTAINERS = (
@@ -38,6 +42,46 @@ _FEWEST_FRAMES = 10
 # A film of a video begins before it, ends after it, and may show it slower; more frames tell nothing more.
 _MOST_LENGTHS, _AROUND_S, _MOST_FRAMES = 2, 120.0, 100_000
 _LUMA_FIRST = ("yuv", "nv", "gray", "p0")  # formats whose first plane is luma
+
+
+@dataclass(frozen=True)
+class ToneCurve:
+    """Light is ((v + a) / (1 + a)) ** exponent of a level v from 0 to 1 that an S of strength `contrast` was taken off.
+
+    Exponent 2.4 without contrast is sRGB but for its toe (IEC 61966-2-1); a is proportional to the exponent less one,
+    so that 1 is linear. `contrast` from −0.9 to 0.9 keeps the curve monotonic.
+    """
+
+    exponent: float = _SRGB_EXPONENT
+    contrast: float = 0.0
+
+    def light(self, level: Floats) -> Floats:
+        """From 0 for the level 0 to 1 for the level 1."""
+        straight = level - self.contrast * level * (1 - level) * (2 * level - 1)
+        toe = _SRGB_TOE * (self.exponent - 1) / (_SRGB_EXPONENT - 1)
+        black = (toe / (1 + toe)) ** self.exponent if toe > 0 else 0.0
+        return (((straight + toe) / (1 + toe)) ** self.exponent - black) / (1 - black)
+
+
+@dataclass(frozen=True)
+class LumaCodes:
+    """Codes of luma, of which `black` and `white` are the ends."""
+
+    black: int
+    white: int
+
+    @cached_property
+    def levels(self) -> Floats:
+        """(codes,): 0 to 1, clipped."""
+        highest = 255
+        while highest < self.white:
+            highest = 2 * highest + 1
+        return np.clip((np.arange(highest + 1) - self.black) / (self.white - self.black), 0, 1)
+
+    def light(self, curve: ToneCurve) -> NDArray[np.float32]:
+        """(codes,): the light of each; exactly 1 where it was clipped."""
+        light = np.where(self.levels >= _CLIPPED, 1.0, curve.light(self.levels))
+        return light.astype(np.float32)
 
 
 def av() -> ModuleType:

@@ -3,8 +3,8 @@
 from scanner.reporting.calibration_history import history_svg
 from scanner.reporting.contents import CaptureRow, JointCaptures, ReportInput
 from scanner.reporting.page import VIEWER, write_report
+from scanner.reporting.plots import HEIGHT, WIDTH, Plot, Scale
 from scanner.reporting.sections import PageImage, ScaledMap, extent_row, files_beside, picture
-from scanner.reporting.svg import HEIGHT, WIDTH, Plot, Scale
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import (
     CAMERA_COLOUR,

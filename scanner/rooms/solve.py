@@ -30,8 +30,7 @@ from scanner.reconstruction import lenses_of, scaled, shifts_of
 from scanner.results import Decoded
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.corner_rig import ideal_matches, ideal_rig, is_estimated, state_of
-from scanner.rooms.epipolar_lines import CHANGED_RIG, of_another_rig
-from scanner.rooms.outlier_stations import outlier_stations_of
+from scanner.rooms.epipolar_lines import CHANGED_RIG, of_another_rig, outlier_stations_of
 from scanner.rooms.upright import upright
 from scanner.stations import RigStart, find_change_of
 from scanner.ui import Progress

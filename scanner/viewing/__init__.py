@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from scanner.viewing.opening import require_viser as require_viser
     from scanner.viewing.panel import ResultPanel as ResultPanel
     from scanner.viewing.panel import reading as reading
+    from scanner.viewing.panel import view_result as view_result
     from scanner.viewing.result import CloudWithSigma as CloudWithSigma
     from scanner.viewing.result import PlacedRig as PlacedRig
     from scanner.viewing.result import ViewedCloud as ViewedCloud
     from scanner.viewing.result import ViewedResult as ViewedResult
+    from scanner.viewing.result import read_white_picture as read_white_picture
     from scanner.viewing.scene import CloudScene as CloudScene
     from scanner.viewing.server import OriginCheck as OriginCheck
     from scanner.viewing.server import ServedFiles as ServedFiles
@@ -34,9 +36,7 @@ if TYPE_CHECKING:
     from scanner.viewing.texts import link_html as link_html
     from scanner.viewing.texts import notes_text as notes_text
     from scanner.viewing.texts import verdict_text as verdict_text
-    from scanner.viewing.view import view_result as view_result
     from scanner.viewing.view_controls import failures_shown as failures_shown
-    from scanner.viewing.white_picture import read_white_picture as read_white_picture
     from scanner.viewing.windows import Window as Window
     from scanner.viewing.windows import Windows as Windows
 
@@ -49,14 +49,12 @@ __all__, __getattr__, __dir__ = defer_imports(
         "colouring": "Colouring",
         "first_look": "preview_scan",
         "opening": "DEFAULT_PORT LOCAL free_port require_viser",
-        "panel": "ResultPanel reading",
-        "result": "CloudWithSigma PlacedRig ViewedCloud ViewedResult",
+        "panel": "ResultPanel reading view_result",
+        "result": "CloudWithSigma PlacedRig ViewedCloud ViewedResult read_white_picture",
         "scene": "CloudScene",
         "server": "OriginCheck ServedFiles Serving add_style announce_page serving wait",
         "texts": "bar_html bold escaped link_html notes_text verdict_text",
-        "view": "view_result",
         "view_controls": "failures_shown",
-        "white_picture": "read_white_picture",
         "windows": "Window Windows",
     },
 )

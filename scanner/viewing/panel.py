@@ -1,31 +1,130 @@
-"""The panel beside the 3-D view: the result's statements, and the controls of the view."""
+"""The panel beside the 3-D view, and the page of `scan view` around it: the result's statements, the controls of the
+view, the result's files to be opened and downloaded, and the steps that are taken from the page.
+"""
 
+import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
+import numpy as np
 import viser
 
 from calib.numerics import Floats
-from scanner.results import NETWORK, Verdict, kind_of, verdict_of
+from scanner.cleaning import read_cleaned
+from scanner.comparing import CLOUD_FILE, COMPARE_PAGE, MESH_FILE, REFERENCE_CLOUD_FILE, REFERENCE_MESH_FILE
+from scanner.configuration import CloudStep
+from scanner.errors import InputError
+from scanner.exporting import FORMATS, ExportRequest
+from scanner.io import given_path, read_whole
+from scanner.results import (
+    CALIBRATION_FILE,
+    KINDS,
+    MERGED_FILE,
+    NETWORK,
+    NETWORK_FILE,
+    REFUSAL_FILE,
+    REPORT_FILE,
+    Verdict,
+    kind_of,
+    read_steps,
+    verdict_of,
+    write_steps,
+)
+from scanner.ui import Terminal
 from scanner.viewing.buttons import PLAIN
 from scanner.viewing.clicking import Clicking, SetScale
 from scanner.viewing.colouring import Colouring
 from scanner.viewing.crop import Box, whole
 from scanner.viewing.decimation import statement
 from scanner.viewing.deviations import deviation_cloud, is_comparison
-from scanner.viewing.files import add_files
 from scanner.viewing.keeping import Keeping
-from scanner.viewing.network import network_cloud
-from scanner.viewing.result import ViewedCloud, ViewedResult
+from scanner.viewing.result import ViewedCloud, ViewedResult, network_cloud
 from scanner.viewing.scene import CloudScene
-from scanner.viewing.stepping import keep_box, take_back
-from scanner.viewing.texts import calibration_text, corner_text, escaped, notes_text, verdict_text
+from scanner.viewing.server import add_style, announce_page, serving, wait
+from scanner.viewing.texts import calibration_text, corner_text, escaped, link_html, notes_text, verdict_text
 from scanner.viewing.view_controls import ViewControls, failures_shown
 
+_SURFACES = tuple(name for kind in KINDS for name in (kind.cloud, kind.mesh) if name)
+_COMPARED = (COMPARE_PAGE, CLOUD_FILE, MESH_FILE, REFERENCE_CLOUD_FILE, REFERENCE_MESH_FILE)
+_FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, NETWORK_FILE, *_SURFACES, REFUSAL_FILE, *_COMPARED)
 LinkTo = Callable[[Path], str]
 Show = Callable[["ResultPanel"], None]
+
+
+def add_files(gui: viser.GuiApi, folder: Path, link: Callable[[Path], str]) -> None:
+    """Into the container that is open."""
+    names = [name for name in _FILES if (folder / name).is_file()]
+    if REPORT_FILE in names:
+        gui.add_html(link_html(link(folder / REPORT_FILE), "Open the report"))
+    with gui.add_folder("Files", expand_by_default=False):
+        message = gui.add_markdown("")
+        for name in names:
+            button = gui.add_button(f"Download {name}", color=PLAIN)
+            button.on_click(_sending(f"{folder.name}-{name}", folder / name, message))
+        if (folder / CALIBRATION_FILE).is_file():
+            _add_exports(gui, folder)
+
+
+def _add_exports(gui: viser.GuiApi, folder: Path) -> None:
+    """Formats of one file each; the others are folders, which the command makes."""
+    formats = {name: export for name, export in FORMATS.items() if export.suffixes}
+    chosen = gui.add_dropdown("Export as", [f"{name}: {export.about}" for name, export in formats.items()])
+    button = gui.add_button("Export", color=PLAIN)
+    message = gui.add_markdown("")
+
+    def export(event: viser.GuiEvent[Any]) -> None:
+        form = formats[chosen.value.partition(":")[0]]
+        message.content = "Exporting …"
+        with failures_shown(message), tempfile.TemporaryDirectory() as scratch:
+            out = Path(scratch, f"{folder.name}{form.ending}")
+            sentences = form.write(ExportRequest(folder, out))
+            if event.client is not None:
+                event.client.send_file_download(out.name, out.read_bytes(), save_immediately=True)
+            message.content = f"{out.name}: {'; '.join(sentences)}"
+
+    button.on_click(export)
+
+
+def _sending(name: str, path: Path, message: viser.GuiMarkdownHandle) -> Callable[[viser.GuiEvent[Any]], None]:
+    def send(event: viser.GuiEvent[Any]) -> None:
+        if event.client is None:
+            return
+        message.content = ""
+        with failures_shown(message):
+            event.client.send_file_download(name, read_whole(path), save_immediately=True)
+
+    return send
+
+
+def keep_box(result: ViewedResult, name: str, cloud: ViewedCloud, box: Box) -> None:
+    """Write a box around a part of the cloud called `name` as the result's last step. Raises InputError, StorageError
+    if it has no wall, or cannot be written.
+    """
+    if not box.bounded:
+        raise InputError("the box holds everything: move an end of a range first")
+    cleaned = read_cleaned(result.folder, result.number_of(name))
+    frame = box.frame
+    along = frame.along(cloud.points)
+    reach = np.ptp(along, axis=0)
+    low = np.where(np.isfinite(box.low), box.low, along.min(axis=0) - reach)
+    high = np.where(np.isfinite(box.high), box.high, along.max(axis=0) + reach)
+    # The steps' axes may be others than the cloud's.
+    corners = cleaned.clouds()[-1].frame @ (frame.origin + np.stack([0 * frame.origin, frame.axes[0], frame.axes[1]]))
+    steps = [*cleaned.steps, CloudStep(box=_text(np.concatenate([low, high, corners.ravel()])))]
+    read_cleaned(result.folder, steps=steps).clouds()
+    write_steps(result.folder, steps)
+
+
+def take_back(result: ViewedResult) -> None:
+    """Take the result's last step back. Raises InputError, StorageError."""
+    write_steps(result.folder, read_steps(result.folder)[:-1])
+
+
+def _text(lengths: Floats) -> str:
+    return ",".join("0" if abs(length) < 1e-6 else f"{length:.9g}" for length in lengths)
 
 
 class ResultPanel:
@@ -179,3 +278,18 @@ def reading(folder: Path) -> Show:
     result = ViewedResult(folder)
     result.cloud(result.names[0])
     return lambda panel: panel.open(result)
+
+
+def view_result(folder: Path, host: str, port: int | None, terminal: Terminal, *, browser: bool) -> None:
+    """Serve a result until Ctrl-C, which raises KeyboardInterrupt. Raises InputError."""
+    with terminal.step("Reading the result"):
+        show = reading(folder)
+    with serving(f"Result {given_path(folder).name}", host, port) as served:
+        gui = served.server.gui
+        gui.main_panel.dock_right()
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Result") as tab:
+            add_style(gui)
+        show(ResultPanel(gui, CloudScene(served.server), tab, served.served_files.link))
+        announce_page(served.address, host, terminal, browser=browser)
+        wait()

@@ -1,4 +1,6 @@
-"""A result folder as something to look at: its clouds, each with the rigs that saw it."""
+"""A result folder as something to look at: its clouds, each with the rigs that saw it, the camera's picture under white
+light, and a network's cloud with all its devices.
+"""
 
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -12,14 +14,27 @@ from calib.diagnostics import Uncertainty
 from calib.geometry import IDENTITY, Calibration, Matches, Pose
 from calib.numerics import Floats
 from calib.pointcloud import point_covariances
+from scanner.capture import open_capture
 from scanner.cleaning import CleanedCloud, read_cleaned
 from scanner.errors import InputError
-from scanner.io import read_calibration
-from scanner.measuring import MeasuredScene, PlacedPoints, PointNumber, read_scene, rig_errors
+from scanner.io import StoredDevice, read_calibration, read_network
+from scanner.measuring import (
+    MeasuredScene,
+    NetworkPoints,
+    PlacedPoints,
+    PointNumber,
+    has_matches,
+    read_scene,
+    rig_errors,
+)
 from scanner.quantities import FACE_NAMES, device_names
-from scanner.rendering import photograph
+from scanner.rendering import LONGEST_SIDE, Pixels, photograph
 from scanner.results import (
     CALIBRATION_FILE,
+    CAPTURE_FOLDER,
+    CAPTURES_FOLDER,
+    NETWORK_CLOUD_FILE,
+    NETWORK_FILE,
     TRUTH_FILE,
     FinishedResult,
     FinishedScan,
@@ -37,10 +52,18 @@ from scanner.results import (
 )
 from scanner.viewing.corner import MeasuredCorner, measured_corner
 from scanner.viewing.decimation import shuffled
-from scanner.viewing.white_picture import read_white_picture
 
 ALL_CAPTURES, WHOLE_ROOM, WHOLE_THING = "All captures, merged", "The whole room", "The whole thing"
 _AT_ONCE = 100_000  # covariances are large
+
+
+def read_white_picture(folder: Path, longest_side: int = LONGEST_SIDE) -> Pixels | None:
+    """RGB (H, W, 3), reduced; None where a result has no recording, or that no white picture."""
+    try:
+        white = open_capture(folder / CAPTURE_FOLDER).white()
+    except InputError:
+        return None
+    return None if white is None else photograph(white, longest_side)
 
 
 @dataclass(frozen=True)
@@ -302,3 +325,30 @@ def _picture(folder: Path, scan: FinishedScan) -> NDArray[np.uint8]:
     picture = np.zeros((camera.height, camera.width, 3), np.uint8)
     picture[scan.pixel[:, 1], scan.pixel[:, 0]] = scan.colours[:, ::-1]
     return photograph(picture)
+
+
+def network_cloud(folder: Path) -> ViewedCloud:
+    """Read it, in the frame of the first device. Raises InputError if a file is missing or damaged."""
+    cloud, network = read_cleaned(folder, own_axes=True).cloud(), read_network(folder / NETWORK_FILE)
+    if not len(cloud):
+        raise InputError(f"{folder / NETWORK_CLOUD_FILE}: the cloud is empty")
+    cameras, projectors = (
+        [device for device in network.devices if device.kind == kind] for kind in ("camera", "projector")
+    )
+    if not (cameras and projectors):
+        raise InputError(f"{folder / NETWORK_FILE}: expected a camera and a projector or more")
+    # Every device once, or more often where there are more of the other kind.
+    rigs = tuple(
+        _rig(cameras[number % len(cameras)], projectors[number % len(projectors)], network.unit, folder)
+        for number in range(max(len(cameras), len(projectors)))
+    )
+    up = np.array([0.0, -1.0, 0.0])
+    scans = NetworkPoints.read(folder) if has_matches(folder) else None
+    return ViewedCloud(cloud.points, cloud.normals, cloud.colours, rigs, None, up, network.unit, "camera", scans=scans)
+
+
+def _rig(camera: StoredDevice, projector: StoredDevice, unit: str, folder: Path) -> PlacedRig:
+    to_projector = projector.place.inverse() @ camera.place
+    calibration = Calibration(camera.intrinsics, projector.intrinsics, to_projector, unit)
+    picture = read_white_picture(folder / CAPTURES_FOLDER / f"{camera.name}-{projector.name}")
+    return PlacedRig(calibration, camera.place, picture, (camera.name, projector.name))

@@ -15,7 +15,7 @@ from hw.projector import Screen
 from scanner.commands import devices, new
 from scanner.commands.main import main
 from scanner.commands.new import filled_in
-from scanner.commands.rigs import RIGS
+from scanner.commands.options_of_rigs import RIGS
 from scanner.configuration import load_config
 from tests.support.places import ROOT
 

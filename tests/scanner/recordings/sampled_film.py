@@ -12,8 +12,7 @@ from scanner.patterns import PRESETS, draw
 from scanner.recordings import Programme, programme_of
 from scanner.recordings.programme import BLACK, LEAD_IN_S, WHITE
 from scanner.recordings.samples import VideoSamples
-from scanner.recordings.tone_curve import LumaCodes, ToneCurve
-from scanner.recordings.video_file import VideoFile
+from scanner.recordings.video_file import LumaCodes, ToneCurve, VideoFile
 
 SIZE, PROJECTOR = Size(480, 270), Size(128, 72)
 _ROWS, _COLUMNS = 24, 32

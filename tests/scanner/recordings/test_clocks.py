@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from scanner.recordings.clock_fit import fit_clocks, fit_times_and_clocks
-from scanner.recordings.clocks import Clocks
-from scanner.recordings.start_marks import find_loops
+from scanner.recordings.clocks import Clocks, find_loops
 from tests.scanner.recordings.sampled_film import SIZE, FilmClocks, sample_film
 
 NTSC = 60_000 / 1001

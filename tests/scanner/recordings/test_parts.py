@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from calib.geometry import Size
 from scanner.patterns import PRESETS, draw
 from scanner.recordings.averaging import image_of
-from scanner.recordings.clocks import Clocks
+from scanner.recordings.clocks import Clocks, Loop
 from scanner.recordings.programme import (
     BLACK,
     FRAMES_PER_SECOND,
@@ -23,10 +23,8 @@ from scanner.recordings.programme import (
     write_player_video,
 )
 from scanner.recordings.samples import VideoSamples
-from scanner.recordings.start_marks import Loop
 from scanner.recordings.steadiness import moved_px
-from scanner.recordings.tone_curve import LumaCodes, ToneCurve
-from scanner.recordings.video_file import VideoFile
+from scanner.recordings.video_file import LumaCodes, ToneCurve, VideoFile
 from scanner.recordings.weights import picture_weights
 
 HEIGHT = 24

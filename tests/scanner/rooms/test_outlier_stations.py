@@ -13,7 +13,7 @@ from scanner.capture import CaptureMetadata
 from scanner.results import Decoded, GivenMatches
 from scanner.rooms import CHANGED_RIG
 from scanner.rooms.contents import OutlierStation, Station
-from scanner.rooms.outlier_stations import outlier_stations_of, widest_unseen_deg
+from scanner.rooms.epipolar_lines import outlier_stations_of, widest_unseen_deg
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
 from tests.support.whole_room import TrueStation, stations
 

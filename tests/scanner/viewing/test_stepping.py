@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scanner.results import read_steps
 from scanner.viewing.crop import box_within, frame_of
 from scanner.viewing.decimation import many, shuffled, statement
+from scanner.viewing.panel import keep_box, take_back
 from scanner.viewing.result import ViewedResult
-from scanner.viewing.stepping import keep_box, take_back
 from tests.support.result_folder import write_captures
 
 

@@ -27,8 +27,7 @@ from scanner.viewing.geometry import (
     ruler_lines,
     viewpoint,
 )
-from scanner.viewing.network import network_cloud
-from scanner.viewing.result import ALL_CAPTURES, CaptureCloud, ViewedResult
+from scanner.viewing.result import ALL_CAPTURES, CaptureCloud, ViewedResult, network_cloud
 from tests.support.cloud_scene import room
 from tests.support.mapped_room import write_network
 from tests.support.result_folder import Written, corner_pose, write_captures, write_result
