@@ -83,15 +83,15 @@ class BoardCoverage:
     @property
     def reasons(self) -> list[str]:
         """What is wrong with it, in words."""
-        found = []
+        reasons = []
         if self.tilt_deg < _PARALLEL_DEG:
-            found.append(f"the boards are nearly parallel to each other, within {self.tilt_deg:.0f} degrees")
+            reasons.append(f"the boards are nearly parallel to each other, within {self.tilt_deg:.0f} degrees")
         if self.distances < _SAME_DISTANCE:
-            found.append(f"they are all at about the same distance, within {100 * (self.distances - 1):.0f} %")
+            reasons.append(f"they are all at about the same distance, within {100 * (self.distances - 1):.0f} %")
         for name, share in (("camera", self.camera), ("projector", self.projector)):
             if share < _SMALL_COVERAGE:
-                found.append(f"they cover only {100 * share:.0f} % of the {name}'s picture")
-        return found
+                reasons.append(f"they cover only {100 * share:.0f} % of the {name}'s picture")
+        return reasons
 
 
 def coverage_of(views: Sequence[BoardView], state: State, camera_size: Size, projector_size: Size) -> BoardCoverage:
@@ -128,10 +128,10 @@ def no_rig(coverage: BoardCoverage | None) -> RefusalError:
 
 
 def refuse_untrustworthy(
-    found: Estimate, others: Sequence[BoardFit], coverage: BoardCoverage, sizes: tuple[Size, Size]
+    estimate: Estimate, rivals: Sequence[BoardFit], coverage: BoardCoverage, sizes: tuple[Size, Size]
 ) -> None:
     """Raise RefusalError where the boards do not determine both devices, everywhere in their pictures and uniquely."""
-    sigma = np.sqrt(found.covariance.diagonal())
+    sigma = np.sqrt(estimate.covariance.diagonal())
     if coverage.tilt_deg < _HOPELESSLY_PARALLEL_DEG:
         raise RefusalError(
             PARALLEL_BOARDS,
@@ -148,7 +148,7 @@ def refuse_untrustworthy(
                 _ADVICE,
                 {"sigma_percent": 100 * float(sigma[device][FOCAL])},
             )
-    for name, sigmas, size in zip(("camera", "projector"), ray_sigmas(found, sizes), sizes, strict=True):
+    for name, sigmas, size in zip(("camera", "projector"), ray_sigmas(estimate, sizes), sizes, strict=True):
         worst = float(np.nanmax(sigmas, initial=0.0))
         if not worst < _USEFUL_RAY * max(size):
             raise RefusalError(
@@ -158,32 +158,34 @@ def refuse_untrustworthy(
                 _ADVICE,
                 {"ray_sigma_px": worst},
             )
-    for other in others:
-        apart = np.abs(other.state.additive() - found.state.additive())[[CAMERA.start, PROJECTOR.start]]
-        if other.cost - found.fit.cost < _CLEARLY_WORSE and np.any(apart > 2 * sigma[[CAMERA.start, PROJECTOR.start]]):
+    for rival in rivals:
+        apart = np.abs(rival.state.additive() - estimate.state.additive())[[CAMERA.start, PROJECTOR.start]]
+        if rival.cost - estimate.fit.cost < _CLEARLY_WORSE and np.any(
+            apart > 2 * sigma[[CAMERA.start, PROJECTOR.start]]
+        ):
             raise RefusalError(
                 AMBIGUOUS,
-                f"Ambiguous: {_focals(found.fit)}, and {_focals(other)}, explain these boards almost equally well"
+                f"Ambiguous: {_focals(estimate.fit)}, and {_focals(rival)}, explain these boards almost equally well"
                 + _because(coverage),
                 _ADVICE,
                 {
-                    "camera_focal_px": float(found.fit.state.camera[0]),
-                    "other_camera_focal_px": float(other.state.camera[0]),
+                    "camera_focal_px": float(estimate.fit.state.camera[0]),
+                    "other_camera_focal_px": float(rival.state.camera[0]),
                 },
             )
 
 
-def ray_sigmas(found: Estimate, sizes: tuple[Size, Size]) -> tuple[Floats, Floats]:
+def ray_sigmas(estimate: Estimate, sizes: tuple[Size, Size]) -> tuple[Floats, Floats]:
     """Standard deviations (13, 13) of the rays of camera and projector, in px over either picture.
 
     NaN where the other device does not see the same, at the boards' distance. A rotation of the device is no error of
     its lens, because the motion between the devices compensates for it.
     """
-    every, state = (_grid(sizes[0]), _grid(sizes[1])), found.state
+    every, state = (_grid(sizes[0]), _grid(sizes[1])), estimate.state
     seen = _seen_by_both(state, every, sizes)
     return (
-        _lens_sigmas(state.camera, every[0], found.covariance[CAMERA, CAMERA], seen[0]),
-        _lens_sigmas(state.projector, every[1], found.covariance[PROJECTOR, PROJECTOR], seen[1]),
+        _lens_sigmas(state.camera, every[0], estimate.covariance[CAMERA, CAMERA], seen[0]),
+        _lens_sigmas(state.projector, every[1], estimate.covariance[PROJECTOR, PROJECTOR], seen[1]),
     )
 
 
@@ -219,23 +221,23 @@ def _lens_sigmas(device: Floats, pixels: Floats, covariance: Floats, seen: Bools
     return sigmas.reshape(_GRID, _GRID)
 
 
-def straightness(found: Estimate) -> float:
+def straightness(estimate: Estimate) -> float:
     """By what factor the focals' sigmas are larger than the curvature says: 1 where the cost is nearly a parabola.
 
     A valley that flattens out is wider than its floor is curved.
     """
     factor = 1.0
-    free = found.prior.sigma > 0
+    free = estimate.prior.sigma > 0
     for column in (CAMERA.start, PROJECTOR.start):
-        sigma = float(np.sqrt(found.covariance[column, column]))
-        problem = board_problem(found.views, found.prior.knowing([column]), found.levels)
+        sigma = float(np.sqrt(estimate.covariance[column, column]))
+        problem = board_problem(estimate.views, estimate.prior.knowing([column]), estimate.levels)
         for side in (-1.0, 1.0):
-            step = np.zeros(found.state.size)
+            step = np.zeros(estimate.state.size)
             step[column] = side * _WALK_SIGMAS * sigma
-            response = np.where(free, found.covariance[:, column] / found.covariance[column, column], 0.0)
+            response = np.where(free, estimate.covariance[:, column] / estimate.covariance[column, column], 0.0)
             step[:SHARED] = response * step[column]
-            fit = problem.minimise(found.state.moved(step), tolerance=0.01)
-            rise = max(fit.cost - found.fit.cost, 1e-3)
+            fit = problem.minimise(estimate.state.moved(step), tolerance=0.01)
+            rise = max(fit.cost - estimate.fit.cost, 1e-3)
             factor = max(factor, _WALK_SIGMAS / float(np.sqrt(rise)))
     return factor if factor > _NEARLY_PARABOLIC else 1.0
 

@@ -37,28 +37,31 @@ from calib.refinement import State
 _OWN = [FOCAL, *range(CENTRE.start, LENS.stop)]
 
 
-def rig_uncertainty(found: Estimate, sizes: tuple[Size, Size]) -> Uncertainty:
+def rig_uncertainty(estimate: Estimate, sizes: tuple[Size, Size]) -> Uncertainty:
     """Of an estimate from boards, for devices of these sizes."""
-    state, to_columns = found.state, _to_columns(found, sizes)
+    state, to_columns = estimate.state, _to_columns(estimate, sizes)
     rig = State(state.camera[_OWN], state.projector[_OWN], state.pose.in_baselines)
     return Uncertainty(
         rig,
-        to_columns @ found.covariance @ to_columns.T,
+        to_columns @ estimate.covariance @ to_columns.T,
         None,
-        float(np.median([noise.match_px for noise in found.noise])),
-        with_log_baseline=to_columns @ found.covariance[:, LENGTH],
+        float(np.median([noise.match_px for noise in estimate.noise])),
+        with_log_baseline=to_columns @ estimate.covariance[:, LENGTH],
     )
 
 
-def _to_columns(found: Estimate, sizes: tuple[Size, Size]) -> Floats:
+def _to_columns(estimate: Estimate, sizes: tuple[Size, Size]) -> Floats:
     """What a step of what boards share is in the rig's columns, (21, 31)."""
-    pose = found.state.pose
+    pose = estimate.state.pose
     ahead = pose.translation / pose.distance
     to_columns = np.zeros((COLUMNS, SHARED))
     to_columns[ROTATION_COLUMNS, ROTATION] = np.eye(3)
     to_columns[TRANSLATION_COLUMNS, DIRECTION] = np.eye(2)
-    devices = ((CAMERA_COLUMNS, CAMERA, found.state.camera), (PROJECTOR_COLUMNS, PROJECTOR, found.state.projector))
-    for (columns, block, device), pixels in zip(devices, rays_seen(found.state, sizes), strict=True):
+    devices = (
+        (CAMERA_COLUMNS, CAMERA, estimate.state.camera),
+        (PROJECTOR_COLUMNS, PROJECTOR, estimate.state.projector),
+    )
+    for (columns, block, device), pixels in zip(devices, rays_seen(estimate.state, sizes), strict=True):
         own, turn = _in_place_of_aspect(device, pixels)
         to_columns[columns, block] = own
         # In the rotated device's own frame, X_projector = R X_camera + t is unchanged.

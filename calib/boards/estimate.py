@@ -239,12 +239,12 @@ def halves(found: Estimate, anew: Callable[[Sequence[BoardView]], Estimate]) -> 
     parts = [list(range(start, count, 2)) for start in (0, 1)]
     if min(len(part) for part in parts) < _FEWEST_OF_A_HALF:
         return None
-    one, other = (anew([found.views[i] for i in part]) for part in parts)
-    variances = [part.covariance.diagonal() for part in (one, other)]
+    first, second = (anew([found.views[i] for i in part]) for part in parts)
+    variances = [part.covariance.diagonal() for part in (first, second)]
     focals = [CAMERA.start, PROJECTOR.start]
     if not all(np.sqrt(variance[focals]).max() < _USEFUL_HALF for variance in variances):
         return None
-    difference = one.state.additive() - other.state.additive()
+    difference = first.state.additive() - second.state.additive()
     sigma = np.sqrt(variances[0] + variances[1])
     names = [tuple(found.views[i].name for i in part) for part in parts]
     return Halves(names[0], names[1], difference[INTRINSIC_COLUMNS], sigma[INTRINSIC_COLUMNS])

@@ -38,21 +38,21 @@ class NextPose:
     gain: float
 
 
-def best_next_pose(found: Estimate, sizes: tuple[Size, Size]) -> NextPose | None:
+def best_next_pose(estimate: Estimate, sizes: tuple[Size, Size]) -> NextPose | None:
     """Among boards in nine parts of the projected picture, at three distances, facing it or tilted to eight sides.
 
     None if neither picture would hold any of them.
     """
-    free = found.prior.sigma > 0
-    known = inverse_of(found.covariance[np.ix_(free, free)])
-    scale = _scale(found.state)
+    free = estimate.prior.sigma > 0
+    known = inverse_of(estimate.covariance[np.ix_(free, free)])
+    scale = _scale(estimate.state)
     best: NextPose | None = None
-    before = _size(found.covariance, scale)
-    for words, state in _candidates(found.state, sizes):
-        if not _is_whole(found, state, sizes):
+    before = _size(estimate.covariance, scale)
+    for words, state in _candidates(estimate.state, sizes):
+        if not _is_whole(estimate, state, sizes):
             continue
-        covariance = np.zeros_like(found.covariance)
-        covariance[np.ix_(free, free)] = inverse_of(known + _information(found, state)[np.ix_(free, free)])
+        covariance = np.zeros_like(estimate.covariance)
+        covariance[np.ix_(free, free)] = inverse_of(known + _information(estimate, state)[np.ix_(free, free)])
         gain = before / _size(covariance, scale)
         if best is None or gain > best.gain:
             best = NextPose(words, gain)
@@ -93,31 +93,31 @@ def _turns() -> Iterator[tuple[str, Floats]]:
         )
 
 
-def _points(found: Estimate) -> tuple[Floats, Floats]:
+def _points(estimate: Estimate) -> tuple[Floats, Floats]:
     """Corners of the board, and a grid over it."""
-    corners = found.views[0].points
+    corners = estimate.views[0].points
     low, high = corners.min(axis=0), corners.max(axis=0)
     grid = np.stack(np.meshgrid(*(np.linspace(low[k], high[k], _GRID) for k in (0, 1))), axis=-1).reshape(-1, 2)
     return corners, grid
 
 
-def _is_whole(found: Estimate, state: State, sizes: tuple[Size, Size]) -> bool:
-    corners, _ = _points(found)
+def _is_whole(estimate: Estimate, state: State, sizes: tuple[Size, Size]) -> bool:
+    corners, _ = _points(estimate)
     board = state.boards[0]
     points = board.pose @ np.column_stack([corners, np.zeros(len(corners))])
     in_camera = is_seen(state.camera, points, sizes[0]).all()
     return bool(in_camera and is_seen(state.projector, state.pose @ points, sizes[1]).all())
 
 
-def _information(found: Estimate, state: State) -> Floats:
+def _information(estimate: Estimate, state: State) -> Floats:
     """Information of a view of this board on the common parameters, with an unknown pose, (SHARED, SHARED)."""
-    corners, grid = _points(found)
+    corners, grid = _points(estimate)
     _, by_corners, _ = predict_corners(state, corners, 0)
     camera_px, _, _ = predict_corners(state, grid, 0)
     _, by_cells, _ = predict_matches(state, camera_px, 0)
-    of_cells = float(np.median(np.concatenate(found.levels.cells))) * len(grid) / _CELLS
+    of_cells = float(np.median(np.concatenate(estimate.levels.cells))) * len(grid) / _CELLS
     whole = np.zeros((SHARED + PER_POSE, SHARED + PER_POSE))
-    for jacobian, variance in ((by_corners, float(np.median(found.levels.corners))), (by_cells, of_cells)):
+    for jacobian, variance in ((by_corners, float(np.median(estimate.levels.corners))), (by_cells, of_cells)):
         rows = jacobian[:, :, : SHARED + PER_POSE].reshape(-1, SHARED + PER_POSE)
         whole += rows.T @ rows / variance
     pose = slice(SHARED, None)

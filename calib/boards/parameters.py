@@ -145,11 +145,11 @@ def predict_corners(state: State, points: Floats, view: int) -> tuple[Floats, Fl
     heights, _, by_bend = surface(state, points, view)
     board = state.boards[view].pose
     turned = _turned(board, points, heights)
-    seen = turned + board.translation
-    pixels, by_point, by_device = lens.project(state.camera, seen)
+    in_camera = turned + board.translation
+    pixels, by_point, by_device = lens.project(state.camera, in_camera)
     jacobian = _by_board(board, by_point, turned, by_bend)
     jacobian[:, :, CAMERA] = by_device
-    return pixels, jacobian, seen[:, 2]
+    return pixels, jacobian, in_camera[:, 2]
 
 
 def predict_matches(state: State, camera_px: Floats, view: int) -> tuple[Floats, Floats, Floats]:
@@ -159,13 +159,13 @@ def predict_matches(state: State, camera_px: Floats, view: int) -> tuple[Floats,
     heights, slopes, by_bend = surface(state, met, view)
     board, pose = state.boards[view].pose, state.pose
     on_board = _turned(board, met, heights)
-    seen = on_board + board.translation
-    turned = pose.rotate(seen)
+    in_camera = on_board + board.translation
+    turned = pose.rotate(in_camera)
     moved = turned + pose.translation
     pixels, by_moved, by_device = lens.project(state.projector, moved)
     # The point stays on its ray while the rest moves, d(X/Z) = dr, because it also moves along the board.
     along = board.rotation[:, :2] + slopes[:, None, :] * board.rotation[:, 2:]  # (N, 3, 2)
-    by_seen, off_ray = by_moved @ pose.rotation, _by_point(seen)
+    by_seen, off_ray = by_moved @ pose.rotation, _by_point(in_camera)
     by_ray = _solved((off_ray @ along).transpose(0, 2, 1), (by_seen @ along).transpose(0, 2, 1)).transpose(0, 2, 1)
     jacobian = _by_board(board, by_seen - by_ray @ off_ray, on_board, by_bend)
     jacobian[:, :, CAMERA] = by_ray @ rays_by_camera
@@ -173,7 +173,7 @@ def predict_matches(state: State, camera_px: Floats, view: int) -> tuple[Floats,
     jacobian[:, :, DIRECTION] = by_moved @ pose.by_direction
     jacobian[:, :, LENGTH] = by_moved @ pose.translation
     jacobian[:, :, PROJECTOR] = by_device
-    return pixels, jacobian, np.stack([seen[:, 2], moved[:, 2]], axis=1)
+    return pixels, jacobian, np.stack([in_camera[:, 2], moved[:, 2]], axis=1)
 
 
 def meet(state: State, rays: Floats, view: int) -> Floats:
@@ -216,8 +216,8 @@ def is_seen(device: Floats, points: Floats, size: tuple[int, int]) -> Bools:
     # A lens model that folds back maps points far outside into the picture; their rays are invalid.
     rays = rays_of(device, pixels)
     same = np.linalg.norm(rays - points[:, :2] / points[:, 2:], axis=1) < 1e-6
-    seen: Bools = same & np.all((pixels >= 0) & (pixels <= np.array(size) - 1), axis=1)
-    return seen
+    visible: Bools = same & np.all((pixels >= 0) & (pixels <= np.array(size) - 1), axis=1)
+    return visible
 
 
 def project_rays(device: Floats, rays: Floats) -> tuple[Floats, Floats]:

@@ -99,7 +99,7 @@ def _cameras(
     for _, state in trials[:_FINALISTS]:
         fit = problem.minimise(state, tolerance=_ROUGH, steps=_STEPS)
         fit = _turned_over(views, fit, problem)
-        if all(abs(np.log(fit.state.camera[0] / other.state.camera[0])) > _DIFFERENT for other in found):
+        if all(abs(np.log(fit.state.camera[0] / earlier.state.camera[0])) > _DIFFERENT for earlier in found):
             found.append(fit)
     yield from (fit.state for fit in sorted(found, key=lambda fit: fit.cost))
 
@@ -107,8 +107,8 @@ def _cameras(
 def _turned_over(views: Sequence[BoardView], fit: BoardFit, problem: BoardProblem) -> BoardFit:
     """The same with each board in the other of the two poses that a weak perspective leaves, where that is better."""
     boards = tuple(pose_of(view.points, view.corners_px, fit.state.camera)[0] for view in views)
-    other = problem.minimise(replace(fit.state, boards=boards), tolerance=_ROUGH, steps=_STEPS)
-    return min(fit, other, key=lambda each: each.cost)
+    turned = problem.minimise(replace(fit.state, boards=boards), tolerance=_ROUGH, steps=_STEPS)
+    return min(fit, turned, key=lambda each: each.cost)
 
 
 def pose_of(points: Floats, pixels: Floats, camera: Floats) -> tuple[PlacedBoard, float]:

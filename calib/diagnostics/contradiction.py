@@ -136,13 +136,13 @@ def explain_change(step: Floats, precision: Floats) -> RigChange:
         chosen = list(columns)
         own = precision[np.ix_(chosen, chosen)]
         change = np.asarray(np.linalg.solve(own, pull[chosen]), np.float64)
-        left = cost - float(change @ pull[chosen])
+        rest = cost - float(change @ pull[chosen])
         alone = np.zeros(SHARED)
         alone[chosen] = change
         size, factor = float(np.linalg.norm(change)), _FACTORS.get(unit, 1.0)
         sigma = float(change @ np.linalg.solve(own, change)) ** 0.5 / max(size, 1e-300)
-        described = RigChange(cost / limit, name, factor * size, factor * sigma, unit, alone, left <= limit)
-        changes.append((left + (size / usual) ** 2, described))
+        described = RigChange(cost / limit, name, factor * size, factor * sigma, unit, alone, rest <= limit)
+        changes.append((rest + (size / usual) ** 2, described))
     return min(changes, key=lambda change: change[0])[1]
 
 

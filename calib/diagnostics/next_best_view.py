@@ -66,10 +66,10 @@ def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | N
         if right == up == 0:
             continue
         corner = moved_corner(state.corners[-1], right, up, distance)
-        seen = _seen(replace(state, corners=(*state.corners, corner)), knowledge)
-        if seen is None:
+        visible = _seen(replace(state, corners=(*state.corners, corner)), knowledge)
+        if visible is None:
             continue
-        sigma = beyond * _sigma_with(refinement, present, corner, seen, variance / len(seen), knowledge)
+        sigma = beyond * _sigma_with(refinement, present, corner, visible, variance / len(visible), knowledge)
         if best is None or sigma < best.sigma:
             best = NextView(right, up, distance, sigma, step_taken(state.corners[-1], right, up, distance))
     return best

@@ -39,14 +39,14 @@ def cross_epipolar_lines(camera_px: Floats, known_px: Floats, axis: int, calibra
     """
     projector, rays = calibration.projector, calibration.pose.rotate(calibration.camera.unproject(camera_px)).T
     x, y, w = np.cross(calibration.pose.translation, rays, axisb=0).T
-    other = 1 - axis
+    across = 1 - axis
     focal, centre = np.array([projector.focal_px]).T, np.array([projector.principal_point_px]).T
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         along = np.stack([-y, x]) / np.hypot(x, y)
         straight = np.abs(focal[axis] * along[axis]) / np.hypot(*(focal * along))
         ideal = np.empty((2, len(camera_px)))
         ideal[axis] = (known_px - centre[axis]) / focal[axis]
-        ideal[other] = -((x, y)[axis] * ideal[axis] + w) / (x, y)[other]
+        ideal[across] = -((x, y)[axis] * ideal[axis] + w) / (x, y)[across]
         for _ in range(_STEPS):
             distorted, moved = distort_steps(ideal, along, projector.distortion)
             pixel, tangent = focal * distorted + centre, focal * moved

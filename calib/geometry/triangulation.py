@@ -65,11 +65,11 @@ def intersect_rays(camera_px: Floats, projector_px: Floats, calibration: Calibra
     """
     projector, count = calibration.projector, len(camera_px)
     # Coordinate by coordinate, (2, N) and (3, N), which is what can be vectorised.
-    seen = by_columns(projector_px).T
-    ideal = _ideal(calibration.camera, camera_px), _ideal(projector, seen.T)
+    observed = by_columns(projector_px).T
+    ideal = _ideal(calibration.camera, camera_px), _ideal(projector, observed.T)
     points, foot_px, residual_px = np.empty((3, count)), np.empty((2, count)), np.empty(count)
     device = projector.pinhole, projector.distortion
-    _intersect(*ideal, seen, _pose(calibration), *device, points, foot_px, residual_px)
+    _intersect(*ideal, observed, _pose(calibration), *device, points, foot_px, residual_px)
     return Intersections(points.T, foot_px.T, residual_px, np.isfinite(residual_px))
 
 
@@ -89,10 +89,10 @@ def depths_on_stripes(
     ahead = calibration.pose.rotation[2, :2] @ camera_ideal + calibration.pose.rotation[2, 2]
     for remaining in range(_LENS_STEPS if any(projector.distortion) else 0, -1, -1):
         _seen(camera_ideal, depth, pose, ideal, step)
-        seen, moved = distort_steps(ideal, step, projector.distortion)
+        distorted, moved = distort_steps(ideal, step, projector.distortion)
         per_depth = focal * moved[axis] / (depth * ahead + calibration.pose.translation[2])
         if remaining:
-            depth += (known_px - focal * seen[axis] - centre) / per_depth
+            depth += (known_px - focal * distorted[axis] - centre) / per_depth
     per_px: Floats = 1 / per_depth
     return depth, per_px
 

@@ -81,10 +81,10 @@ def _fill_attributes(
     cloud: Cloud, view: CornerView, turn: int, pixel: Ints, normals: NDArray[np.float32], colours: NDArray[np.uint8]
 ) -> None:
     """Write the normals (N, 3), in the corner's frame, and the colours (N, 3) of a cloud's pixels (N,)."""
-    seen, painted = cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)
+    facing, painted = cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)
 
     def fill(at: slice) -> None:
-        normals[at] = np.roll(seen.take(pixel[at], axis=0) @ view.axes.T, turn, axis=1)
+        normals[at] = np.roll(facing.take(pixel[at], axis=0) @ view.axes.T, turn, axis=1)
         colours[at] = painted.take(pixel[at], axis=0)
 
     in_pieces(len(pixel), fill)

@@ -270,12 +270,12 @@ def _draw(rng: np.random.Generator, options: SyntheticPhotoOptions) -> Synthetic
         eyes.append(eye + options.baseline * aside / np.linalg.norm(aside))
     if min(centre.min() for centre in eyes) < 0.1:
         return None
-    first, *others = (
+    first, *further = (
         Pose(look_at(eye, rng.normal(0, options.aim, 3), _UP, rng.normal(0, options.roll)).T, eye) for eye in eyes
     )
     corner = Corner(first.inverse().translation, first.inverse().rotate(legs))
     pairs = []
-    for second in others:
+    for second in further:
         pose = second.inverse() @ first
         matches = _matches(rng, options, camera, corner, pose)
         if matches is None:

@@ -64,7 +64,9 @@ def _compare_calibrations(args: CompareCommand, terminal: Terminal) -> int:
         raise InputError(f"--depths: expected lengths, as in 1m,2m,3m, found {shown(args.depths)}")
     comparison = compare_files(args.first, args.second, depths)
     verdict = comparison_verdict(comparison)
-    terminal.show(table(comparison), f"{verdict.sign} {verdict.headline}", *(f"  {each}" for each in verdict.reasons))
+    terminal.show(
+        table(comparison), f"{verdict.sign} {verdict.headline}", *(f"  {reason}" for reason in verdict.reasons)
+    )
     if args.out:
         with new_files(args.out, (COMPARE_FILE, COMPARE_PAGE), overwrite=args.overwrite) as (document, page):
             write_compare(document, comparison)
@@ -91,7 +93,9 @@ def _compare_surfaces(args: CompareCommand, terminal: Terminal) -> int:
     verdict = surface_verdict(comparison)
     if comparison.regions:
         terminal.show(region_table(comparison))
-    terminal.show(f"{verdict.sign} {verdict.headline}", *(f"  {each}" for each in verdict.reasons), *comparison.notes)
+    terminal.show(
+        f"{verdict.sign} {verdict.headline}", *(f"  {reason}" for reason in verdict.reasons), *comparison.notes
+    )
     if verdict.advice:
         terminal.show(f"→ {verdict.advice}")
     if args.out:

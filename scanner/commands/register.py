@@ -25,7 +25,7 @@ def run(args: RegisterCommand) -> int:
     verdict = registration_verdict(clouds)
     refused = verdict.grade == "refused"
     _show(clouds, terminal)
-    terminal.show(f"{verdict.sign} {verdict.headline}", *(f"  {each}" for each in verdict.reasons), *clouds.notes)
+    terminal.show(f"{verdict.sign} {verdict.headline}", *(f"  {reason}" for reason in verdict.reasons), *clouds.notes)
     names = [REGISTER_FILE] if refused else [REGISTER_FILE, REGISTERED_FILE]
     with new_files(args.out, names, overwrite=args.overwrite) as (document, *cloud):
         write_registration(document, clouds)

@@ -85,7 +85,7 @@ def write_colmap(
                 file.writelines(f"{line}\n" for line in lines)
     if covariance is None:
         (folder / COVARIANCE_FILE).unlink(missing_ok=True)  # of another calibration
-    return ModelSize(sum(len(each.points) for each in every), max(step for *_, step in chosen))
+    return ModelSize(sum(len(view.points) for view in every), max(step for *_, step in chosen))
 
 
 def _evenly(pixel: Ints, most: int) -> tuple[Ints, int]:
@@ -116,15 +116,15 @@ def _camera_model(device: Intrinsics) -> str:
 
 def _images(every: Sequence[_Chosen]) -> Iterator[str]:
     """A line with the pose, world to image, and a line with the image points, for each of the two devices."""
-    matched, points = sum(each.scan.matched for each in every), sum(len(each.points) for each in every)
+    matched, points = sum(view.scan.matched for view in every), sum(len(view.points) for view in every)
     unit = " ".join(every[0].scan.unit.split())
     yield f"# {matched} matches, of which {points} are in this model; unit: {unit}"
     yield "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
     yield "# POINTS2D[] as X Y POINT3D_ID"
     first = 1
-    for number, each in enumerate(every):
-        calibration, matches = each.scan.calibration, each.scan.matches[each.points]
-        to_camera = each.place.inverse()
+    for number, view in enumerate(every):
+        calibration, matches = view.scan.calibration, view.scan.matches[view.points]
+        to_camera = view.place.inverse()
         ending = f"-{number + 1}" if len(every) > 1 else ""
         for device, name, pose, pixels in (
             (CAMERA_ID, CAMERA_IMAGE, to_camera, matches.camera_px),
@@ -136,17 +136,17 @@ def _images(every: Sequence[_Chosen]) -> Iterator[str]:
             yield f"{2 * number + device} {numbers} {device} {stem}{ending}.{suffix}"
             ideal = (pixels + _HALF_PIXEL).tolist()
             yield " ".join(f"{x:.4f} {y:.4f} {index}" for index, (x, y) in enumerate(ideal, start=first))
-        first += len(each.points)
+        first += len(view.points)
 
 
 def _points(every: Sequence[_Chosen]) -> Iterator[str]:
     """Format the points; each is observed by both devices."""
     yield "# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX"
     first = 1
-    for number, each in enumerate(every):
-        scan, chosen = each.scan, each.points
+    for number, view in enumerate(every):
+        scan, chosen = view.scan, view.points
         error = _reprojection_error_px(scan, chosen)
-        points = each.place @ scan.points[chosen]
+        points = view.place @ scan.points[chosen]
         rows = zip(points.tolist(), scan.colours[chosen].tolist(), error.tolist(), strict=True)
         for index, ((x, y, z), (red, green, blue), miss) in enumerate(rows):
             track = f"{2 * number + CAMERA_ID} {index} {2 * number + PROJECTOR_ID} {index}"

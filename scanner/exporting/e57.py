@@ -57,14 +57,14 @@ def write_e57(path: Path, placed: Sequence[PlacedScan], metres_per_unit: float) 
     path.touch()  # pye57 raises its own exceptions for an unwritable path
     points = 0
     with pye57.E57(str(path), mode="w") as file:
-        for each in placed:
-            scan = each.scan
-            x, y, z, w = Rotation.from_matrix(each.place.rotation @ _Z_UP_FROM_CAMERA.T).as_quat(canonical=True)
+        for station in placed:
+            scan = station.scan
+            x, y, z, w = Rotation.from_matrix(station.place.rotation @ _Z_UP_FROM_CAMERA.T).as_quat(canonical=True)
             file.write_scan_raw(
                 _columns(scan, metres_per_unit),
-                name=each.name,
+                name=station.name,
                 rotation=np.array([w, x, y, z]),
-                translation=metres_per_unit * each.place.translation,
+                translation=metres_per_unit * station.place.translation,
             )
             points += len(scan)
     return points

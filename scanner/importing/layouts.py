@@ -33,10 +33,10 @@ def _projector_info(folder: Path) -> Given:
 def _phase_shifting(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
     """Fringes of two thirds of a Gray cell and of a whole one; of x, then of y; Gray code; white, black."""
     fringes = (
-        shown
+        pattern
         for axis, _ in x_and_y(size)
         for period in (2 * cell / 3, float(cell))
-        for shown in fringe(axis, period, 3, first=-1 / 3)
+        for pattern in fringe(axis, period, 3, first=-1 / 3)
     )
     return (*fringes, *pairs(size, cell, frames), White(), Black())
 
@@ -79,10 +79,10 @@ def _slstudio_fringes(cycles: int, steps: int, *axes: Axis) -> SequenceOf:
         del cell, frames
         lengths = dict(x_and_y(size))
         return tuple(
-            shown
+            pattern
             for axis in axes
             for number, count in ((cycles, steps), (1, 3))
-            for shown in fringe(axis, lengths[axis] / number, count, sign=-1)
+            for pattern in fringe(axis, lengths[axis] / number, count, sign=-1)
         )
 
     return sequence

@@ -109,8 +109,8 @@ def _stated_unit(start: bytes) -> str | None:
     """The unit in the header of a file of this program."""
     if start.startswith(b"roomscan, millimetres"):
         return "mm"
-    found = _UNIT.search(start.decode("utf-8", errors="replace"))
-    return found[1] if found else None
+    match = _UNIT.search(start.decode("utf-8", errors="replace"))
+    return match[1] if match else None
 
 
 def _with(

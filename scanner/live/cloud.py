@@ -134,7 +134,7 @@ class LiveDecoder:
         lit = ~np.isin(reason[::_SAMPLED, ::_SAMPLED], (MaskReason.DARK, MaskReason.SATURATED))
         if not lit.any():
             return 1.0
-        now, then = (each[:, ::_SAMPLED, ::_SAMPLED][:, lit].astype(np.float32) for each in (frames, before))
+        now, then = (images[:, ::_SAMPLED, ::_SAMPLED][:, lit].astype(np.float32) for images in (frames, before))
         now *= np.sum(now * then, axis=1, keepdims=True) / np.maximum(np.sum(now * now, axis=1, keepdims=True), 1.0)
         changes = (now - then) ** 2 / (2 * (at_black + gain * then))
         second, most = np.sort(np.minimum(changes, _CLIPPED).mean(axis=1))[-2:]

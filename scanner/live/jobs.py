@@ -113,23 +113,23 @@ def scan_live(
     if wishes.number is not None and wishes.number < 1:
         raise InputError(f"--clouds: expected 1 or more, found {wishes.number}")
     _refuse_missing_places(config.required_rig, wishes)
-    found = LiveResult(known)
+    result = LiveResult(known)
     watcher.begin(known, wishes)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         try:
-            _look_on(config, folder, found, start.uncertainty, wishes, depths, progress or terminal, watcher)
-            if not found.kept:
+            _look_on(config, folder, result, start.uncertainty, wishes, depths, progress or terminal, watcher)
+            if not result.kept:
                 raise KeyboardInterrupt
         except (KeyboardInterrupt, Exception) as error:
             expected = isinstance(error, KeyboardInterrupt | DeviceError | RefusalError)
-            if not found.kept or not (expected or is_of_memory(error) or is_of_threads(error)):
+            if not result.kept or not (expected or is_of_memory(error) or is_of_threads(error)):
                 raise
-            found.ended_by = error
+            result.ended_by = error
             # There may not have been enough memory to keep one more.
-            shutil.rmtree(_place(folder, found), ignore_errors=True)
-    if found.ended_by is not None:
-        found.ended_by.add_note(f"What was kept is in {out}.")
-    return found
+            shutil.rmtree(_place(folder, result), ignore_errors=True)
+    if result.ended_by is not None:
+        result.ended_by.add_note(f"What was kept is in {out}.")
+    return result
 
 
 def _is_automatic(settings: RigSettings, wishes: Wishes) -> bool:
@@ -149,7 +149,7 @@ def _refuse_missing_places(settings: RigSettings, wishes: Wishes) -> None:
 def _look_on(
     config: Config,
     folder: Path,
-    found: LiveResult,
+    result: LiveResult,
     stated: Uncertainty | None,
     wishes: Wishes,
     depths: tuple[float, float] | None,
@@ -158,8 +158,8 @@ def _look_on(
 ) -> None:
     first: tuple[FirstLook, LiveSequence] | None = None
     by_itself = _is_automatic(config.required_rig, wishes)
-    joined = joining(found.calibration, watcher.tell, of_room=wishes.of_room)
-    with joined as join, in_background(_keeping(folder, found, join, watcher)) as begin:
+    joined = joining(result.calibration, watcher.tell, of_room=wishes.of_room)
+    with joined as join, in_background(_keeping(folder, result, join, watcher)) as begin:
         keeper = Keeper(wishes, begin)
         while not keeper.has_ended:
             begun = keeper.begun
@@ -168,12 +168,12 @@ def _look_on(
                     rig = devices.enter_context(opened(_moved(config, begun if by_itself else 0)))
                 if first is None:
                     with progress.step("Looking at light and dark"):
-                        seen = look(rig, config)
-                        first = seen, best_sequence(rig, seen, found.calibration, depths)
-                        for finding in find_change_live(rig, first[1], seen, found.calibration, stated):
+                        first_look = look(rig, config)
+                        first = first_look, best_sequence(rig, first_look, result.calibration, depths)
+                        for finding in find_change_live(rig, first[1], first_look, result.calibration, stated):
                             watcher.tell(str(finding))
                 watcher.on_rig(rig)
-                _watch(rig, *first, found, keeper, watcher, one_only=by_itself)
+                _watch(rig, *first, result, keeper, watcher, one_only=by_itself)
 
 
 @dataclass
@@ -216,20 +216,20 @@ class Keeper:
 
 
 def _keeping(
-    folder: Path, found: LiveResult, join: Callable[[Sequence[Decoded]], None], watcher: Watcher
+    folder: Path, result: LiveResult, join: Callable[[Sequence[Decoded]], None], watcher: Watcher
 ) -> Callable[[LiveCloud, LiveSequence, Rig, str], None]:
     def work(cloud: LiveCloud, sequence: LiveSequence, rig: Rig, name: str) -> None:
-        place = _place(folder, found)
-        found.kept.append(keep_station(cloud, sequence, found.calibration, rig.identity, place, name))
-        watcher.tell(f"{name} is kept: {cloud_text(cloud, found.calibration.unit)}.")
-        join(tuple(found.kept))
+        place = _place(folder, result)
+        result.kept.append(keep_station(cloud, sequence, result.calibration, rig.identity, place, name))
+        watcher.tell(f"{name} is kept: {cloud_text(cloud, result.calibration.unit)}.")
+        join(tuple(result.kept))
 
     return work
 
 
-def _place(folder: Path, found: LiveResult) -> Path:
+def _place(folder: Path, result: LiveResult) -> Path:
     """Where the next station is kept."""
-    return folder / CAPTURES_FOLDER / str(len(found.kept) + 1)
+    return folder / CAPTURES_FOLDER / str(len(result.kept) + 1)
 
 
 def _moved(config: Config, steps: int) -> Config:
@@ -238,9 +238,9 @@ def _moved(config: Config, steps: int) -> Config:
 
 def _watch(
     rig: Rig,
-    seen: FirstLook,
+    first_look: FirstLook,
     sequence: LiveSequence,
-    found: LiveResult,
+    result: LiveResult,
     keeper: Keeper,
     watcher: Watcher,
     *,
@@ -255,9 +255,9 @@ def _watch(
             keeper.offer(cloud, sequence, rig)
 
     watch(
-        take_rounds(rig, sequence, seen.response),
-        LiveDecoder(sequence, seen, found.calibration),
+        take_rounds(rig, sequence, first_look.response),
+        LiveDecoder(sequence, first_look, result.calibration),
         on_round,
         lambda: keeper.has_ended or (one_only and keeper.begun > begun),
-        found.account,
+        result.account,
     )

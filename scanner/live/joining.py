@@ -72,15 +72,15 @@ def matches_of(cloud: LiveCloud, axis: int, calibration: Calibration) -> Matches
     row, column = np.divmod(cloud.pixel, cloud.reason.shape[1])
     camera_px = np.stack([column, row], axis=1).astype(np.float64)
     known_px = cloud.coordinate.ravel()[cloud.pixel].astype(np.float64)
-    found = cross_epipolar_lines(camera_px, known_px, axis, calibration)
-    sigma_px = np.sqrt(cloud.variance.ravel()[cloud.pixel]) / np.maximum(found.sine, 1e-6)
+    crossing = cross_epipolar_lines(camera_px, known_px, axis, calibration)
+    sigma_px = np.sqrt(cloud.variance.ravel()[cloud.pixel]) / np.maximum(crossing.sine, 1e-6)
     inside = np.all(
-        np.abs(found.projector_px + 0.5 - np.array(calibration.projector.size) / 2)
+        np.abs(crossing.projector_px + 0.5 - np.array(calibration.projector.size) / 2)
         <= np.array(calibration.projector.size) / 2,
         axis=1,
     )
-    there = np.flatnonzero(found.in_front & inside)
-    return Matches(camera_px, found.projector_px, None, sigma_px)[there]
+    there = np.flatnonzero(crossing.in_front & inside)
+    return Matches(camera_px, crossing.projector_px, None, sigma_px)[there]
 
 
 def keep_station(
@@ -93,8 +93,8 @@ def keep_station(
 ) -> Decoded:
     """Write it into `folder`, which is made. Raises OSError."""
     sizes = Size(*calibration.projector.size), Size(*calibration.camera.size)
-    shown = iter(list(zip(sequence.patterns, cloud.taken.frames, strict=True)))
-    stream = Stream(sequence.patterns, *sizes, shown, {"devices": dict(devices)})
+    frames = iter(list(zip(sequence.patterns, cloud.taken.frames, strict=True)))
+    stream = Stream(sequence.patterns, *sizes, frames, {"devices": dict(devices)})
     for _ in record(stream, folder / CAPTURE_FOLDER).frames:
         pass
     matches = matches_of(cloud, sequence.number, calibration)

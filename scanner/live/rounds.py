@@ -55,12 +55,12 @@ def take_rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | 
 
 
 def best_sequence(
-    rig: Rig, seen: FirstLook, calibration: Calibration, depths: tuple[float, float] | None
+    rig: Rig, first_look: FirstLook, calibration: Calibration, depths: tuple[float, float] | None
 ) -> LiveSequence:
     """The shortest fringes that are unambiguous, from one round of longer ones. Raises DeviceError, RefusalError."""
     widest = widest_sequence(calibration, depths)
-    with closing(take_rounds(rig, widest, seen.response)) as taken:
-        return shortened(widest, next(each for each in taken if each is not None).grey, seen, calibration)
+    with closing(take_rounds(rig, widest, first_look.response)) as taken:
+        return shortened(widest, next(each for each in taken if each is not None).grey, first_look, calibration)
 
 
 def _picture(pattern: Pattern, size: tuple[int, int], response: ProjectorResponse | None) -> Image:

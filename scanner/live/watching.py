@@ -147,11 +147,11 @@ def watch(
     thread.start()
     try:
         with closing(taken) as following:
-            for each in following:
-                if each is None:
+            for item in following:
+                if item is None:
                     account.lost += 1
                 else:
-                    slot.put(each)
+                    slot.put(item)
                 if failures or has_ended():
                     break
     finally:

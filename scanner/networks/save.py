@@ -212,8 +212,8 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Mer
 
 
 def _view(cloud: MergedCloud) -> PageImage:
-    seen = render(cloud, view_along(np.array([0.5, 0.5, 1.0]), _UP), _VIEW, [])
-    return picture(seen, "the network's cloud, oblique view", caption="Obliquely from above.")
+    drawn = render(cloud, view_along(np.array([0.5, 0.5, 1.0]), _UP), _VIEW, [])
+    return picture(drawn, "the network's cloud, oblique view", caption="Obliquely from above.")
 
 
 def _counted(number: int, noun: str) -> str:

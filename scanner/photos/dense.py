@@ -68,10 +68,12 @@ def dense_cloud(first: Photo, second: Photo, calibration: Calibration, matches: 
     """
     left, right, least, count = _rectified(calibration, matches)
     pictures = left.picture(first, calibration.camera), right.picture(second, calibration.projector)
-    found = _match(*pictures, least, count)
-    disparity = found + left.low[0] - right.low[0]
+    matched = _match(*pictures, least, count)
+    disparity = matched + left.low[0] - right.low[0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        depth = np.where(np.isfinite(found) & (disparity > 0), left.focal_px * calibration.baseline / disparity, np.nan)
+        depth = np.where(
+            np.isfinite(matched) & (disparity > 0), left.focal_px * calibration.baseline / disparity, np.nan
+        )
     points = (left.rays() * depth[..., None]).astype(np.float32)
     on_surface = surface(points, left.focal_px)
     points[on_surface.isolated] = np.nan

@@ -57,7 +57,9 @@ def _of(calibrated: Sequence[SelfCalibrated]) -> Guidance:
 
 
 def _on_overlap(calibrated: Sequence[SelfCalibrated]) -> str:
-    clouds = [build_cloud(each.decoded.matches, each.decoded.texture, each.calibration) for each in calibrated]
+    clouds = [
+        build_cloud(capture.decoded.matches, capture.decoded.texture, capture.calibration) for capture in calibrated
+    ]
     share = overlap(calibrated, clouds)
     if share is None:
         return "Whether it shows what was seen before is unclear: the corner looks alike from several sides."

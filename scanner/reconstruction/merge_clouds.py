@@ -50,11 +50,11 @@ def overlap(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> floa
     if not order.decided:
         return None
     points = _sample(clouds[-1])
-    seen = np.zeros(len(points), bool)
+    visible = np.zeros(len(points), bool)
     for view, turn in zip(views[:-1], order.turns, strict=False):
         moved = view.in_camera(views[-1].in_corner(points, order.turns[-1]), turn)
-        seen |= _sees(view, moved)
-    return float(np.mean(seen)) if len(seen) else 0.0
+        visible |= _sees(view, moved)
+    return float(np.mean(visible)) if len(visible) else 0.0
 
 
 def _one_corner(captures: Sequence[SelfCalibrated]) -> bool:
@@ -129,17 +129,17 @@ def _sees(view: CornerView, points: Floats) -> Bools:
     """Which points (N, 3) of its frame a view saw, (N,), and nothing before or behind them."""
     nearest, farthest, sees = view.depths_around(points)
     with np.errstate(invalid="ignore"):
-        seen: Bools = sees & (nearest < 1.01 * points[:, 2]) & (farthest > 0.99 * points[:, 2])
-    return seen
+        visible: Bools = sees & (nearest < 1.01 * points[:, 2]) & (farthest > 0.99 * points[:, 2])
+    return visible
 
 
 def _from_surface(cloud: Cloud, view: CornerView, points: Floats) -> Floats:
     """Select the points (N, 3) in a view's frame that the view saw. Return their relative distance along its normals,
     (M,).
     """
-    seen = points[_sees(view, points)]
-    column, row = np.rint(view.camera.project(seen)).astype(np.int64).T
-    along = np.sum((seen - cloud.points[row, column]) * cloud.normals[row, column], axis=1)
-    apart = np.abs(along) / np.linalg.norm(seen, axis=1)
+    visible = points[_sees(view, points)]
+    column, row = np.rint(view.camera.project(visible)).astype(np.int64).T
+    along = np.sum((visible - cloud.points[row, column]) * cloud.normals[row, column], axis=1)
+    apart = np.abs(along) / np.linalg.norm(visible, axis=1)
     known: Floats = apart[np.isfinite(apart)]
     return known

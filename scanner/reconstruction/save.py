@@ -177,8 +177,8 @@ def _save(
             _write_report(place, capture, joint, truth, made)
         rows = _rows(captures) if count > 1 else ()
         _write_report(folder, captures[-1], JointCaptures(count, rows, merged, own_findings), truth, made)
-        for each in written:
-            each.result()
+        for task in written:
+            task.result()
 
 
 def _pose_errors(captures: Sequence[Reconstructed | Refused], merged: MergedCloud) -> dict[str, Any]:
@@ -232,6 +232,6 @@ def _rows(captures: Sequence[Reconstructed | Refused]) -> tuple[CaptureRow, ...]
         address = "" if index == count - 1 else (folder_of(Path(), index, count) / REPORT_FILE).as_posix()
         solution, matches = solution_of(stage), len(capture.decoded.matches)
         residual_px = solution.residual_px if solution else None
-        found = (stage.cloud.statistics, stage.calibration) if isinstance(stage, Reconstructed) else (None, None)
-        rows.append(CaptureRow(title, address, matches, residual_px, *found))
+        of_cloud = (stage.cloud.statistics, stage.calibration) if isinstance(stage, Reconstructed) else (None, None)
+        rows.append(CaptureRow(title, address, matches, residual_px, *of_cloud))
     return tuple(rows)

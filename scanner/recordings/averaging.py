@@ -65,8 +65,8 @@ def average(
     step = max(1, round(math.sqrt(height * width / _PIXELS_OF_A_PASS)))
     passes = np.zeros((2, len(weights), -(-height // step), -(-width // step)), np.float32)
     uses: list[list[tuple[int, int]]] = [[] for _ in range(frames)]
-    for picture, each in enumerate(weights):
-        for place, number in enumerate(each.numbers):
+    for picture, frame_weights in enumerate(weights):
+        for place, number in enumerate(frame_weights.numbers):
             uses[int(number)].append((picture, place))
     kept, wanted = dict[int, Image](), set(keep)
     read = progress.track(video.frames(), frames, "Averaging the frames")
@@ -111,16 +111,19 @@ def noise_of(samples: VideoSamples, weights: Sequence[PictureWeights], clocks: C
     known = of_frames[np.isfinite(of_frames)]
     usual = float(np.median(known)) if known.size else 0.0
     of_frames = np.where(np.isfinite(of_frames), of_frames, usual)
-    return [float(of_frame * np.median(each.noise)) for of_frame, each in zip(of_frames, weights, strict=True)]
+    return [
+        float(of_frame * np.median(frame_weights.noise))
+        for of_frame, frame_weights in zip(of_frames, weights, strict=True)
+    ]
 
 
 def _of_a_frame(samples: VideoSamples, clocks: Clocks, numbers: Ints, weights: Floats) -> float:
     """NaN if no row has two frames."""
-    seen = samples.light(clocks.tone, numbers)
+    light = samples.light(clocks.tone, numbers)
     used = weights > 0.5 * weights.max(axis=0, keepdims=True)
     count = used.sum(axis=0)
-    mean = np.einsum("nr,nrc->rc", used, seen) / np.maximum(count, 1)[:, None]
-    squares = np.einsum("nr,nrc->r", used, (seen - mean) ** 2) / max(seen.shape[2], 1)
+    mean = np.einsum("nr,nrc->rc", used, light) / np.maximum(count, 1)[:, None]
+    squares = np.einsum("nr,nrc->r", used, (light - mean) ** 2) / max(light.shape[2], 1)
     of_rows = squares[count > 1] / (count[count > 1] - 1)
     return float(np.sqrt(of_rows.mean())) if of_rows.size else float("nan")
 
@@ -133,7 +136,7 @@ def smooth_px(programme: Programme, weights: Sequence[PictureWeights], averaged:
     for number, pattern in enumerate(programme.patterns):
         if isinstance(pattern, Phase):
             fringes[pattern.axis, pattern.period].append((number, pattern))
-    shortest = {axis: min(period for other, period in fringes if other == axis) for axis, _ in fringes}
+    shortest = {axis: min(period for along, period in fringes if along == axis) for axis, _ in fringes}
     squares = list[float]()
     for axis, period in shortest.items():
         phasors = _of_passes(fringes[axis, period], weights, averaged)
@@ -149,8 +152,8 @@ def _of_passes(
     total = np.zeros((2, *averaged.passes.shape[2:]), np.complex64)
     complete = np.ones(total.shape[1], np.bool_)
     for number, pattern in fringe:
-        each, rows = weights[number], weights[number].weights[:, :: averaged.step]
-        of_pass = np.stack([rows[~each.back].sum(axis=0), rows[each.back].sum(axis=0)])
+        frame_weights, rows = weights[number], weights[number].weights[:, :: averaged.step]
+        of_pass = np.stack([rows[~frame_weights.back].sum(axis=0), rows[frame_weights.back].sum(axis=0)])
         # Unmixed frames form a picture only together; some of their weights are negative.
         complete &= (rows >= 0).all(axis=0) & (of_pass > _LEAST_SHARE * of_pass.sum(axis=0)).all(axis=0)
         scale = (np.exp(-2j * np.pi * pattern.shift) / np.maximum(of_pass, 1e-6)).astype(np.complex64)

@@ -115,9 +115,9 @@ def _found(times: Floats, brightness: Floats, mark: tuple[int, ...], hold_s: flo
     """
     best, best_rate = list[tuple[float, float]](), 1.0
     for rate in _RATES:
-        found = _at_rate(times, brightness, mark, hold_s * float(rate))
-        if sum(score for _, score in found) > sum(score for _, score in best):
-            best, best_rate = found, float(rate)
+        marks = _at_rate(times, brightness, mark, hold_s * float(rate))
+        if sum(score for _, score in marks) > sum(score for _, score in best):
+            best, best_rate = marks, float(rate)
         if best and all(score > _CERTAIN for _, score in best):
             break
     return [start for start, _ in best], best_rate
@@ -125,7 +125,7 @@ def _found(times: Floats, brightness: Floats, mark: tuple[int, ...], hold_s: flo
 
 def _at_rate(times: Floats, brightness: Floats, mark: tuple[int, ...], slot_s: float) -> list[tuple[float, float]]:
     """(beginning, correlation) of the marks, in order."""
-    code = np.array([1.0 if shown == WHITE else -1.0 for shown in mark])
+    code = np.array([1.0 if field == WHITE else -1.0 for field in mark])
     length = len(code) * slot_s
     starts = np.arange(times[0], times[-1] - length + slot_s / 2, slot_s / _STEPS_PER_SLOT)
     scores = np.array([_score(times, brightness, code, slot_s, start) for start in starts])
@@ -142,25 +142,25 @@ def _at_rate(times: Floats, brightness: Floats, mark: tuple[int, ...], slot_s: f
 def _score(times: Floats, brightness: Floats, code: Floats, slot_s: float, start: float) -> float:
     """Correlation of the brightness with the code, 0 where it does not swing."""
     first, last = np.searchsorted(times, (start, start + len(code) * slot_s))
-    seen = brightness[first:last]
-    if len(seen) < len(code):
+    window = brightness[first:last]
+    if len(window) < len(code):
         return 0.0
     slots = np.clip(((times[first:last] - start) / slot_s).astype(np.intp), 0, len(code) - 1)
     expected = code[slots]
-    if np.ptp(expected) == 0 or np.std(seen) < _LEAST_SWING:
+    if np.ptp(expected) == 0 or np.std(window) < _LEAST_SWING:
         return 0.0
-    return float(np.corrcoef(seen, expected)[0, 1])
+    return float(np.corrcoef(window, expected)[0, 1])
 
 
 def _refuse(samples: VideoSamples, brightness: Floats, programme: Programme) -> NoReturn:
     """Raise InputError for a recording without the sequence's mark."""
     rhythm = programme.mark[: programme.rhythm_slots]
-    others, _ = _found(samples.times_s, brightness, rhythm, programme.hold_s)
+    other_marks, _ = _found(samples.times_s, brightness, rhythm, programme.hold_s)
     length = samples.times_s[-1] - samples.times_s[0]
     path = samples.video.path
-    if others and length > len(programme.loop) * programme.hold_s / 2:
+    if other_marks and length > len(programme.loop) * programme.hold_s / 2:
         raise InputError(
-            f"{path}: the start mark at {others[0]:.1f} s is not that of this sequence: "
+            f"{path}: the start mark at {other_marks[0]:.1f} s is not that of this sequence: "
             "give the sequence.yaml that was written with the video that was shown"
         )
     for slower in _SLOW_MOTION:

@@ -65,16 +65,16 @@ def import_recording(path: Path, programme: Programme, folder: Path, progress: P
     """`capture.yaml` and `frames/`, into an existing folder. Raises InputError, OSError."""
     video = open_video(path, programme.length_s)
     samples = take_samples(video, progress)
-    found = find_loops(samples, programme)
+    marks = find_loops(samples, programme)
     with progress.step("Finding both clocks"):
-        samples, clocks = fit_times_and_clocks(samples, programme, found.loops)
+        samples, clocks = fit_times_and_clocks(samples, programme, marks.loops)
         weights = picture_weights(samples, programme, clocks)
     whites = white_frames(samples, programme, clocks)
     averaged = average(video, weights, clocks.tone, len(samples.times_s), whites, progress)
     smooth = smooth_px(programme, weights, averaged)
     exposure = exposure_range(samples, whites, clocks)
     findings = (
-        *found.findings,
+        *marks.findings,
         *_on_exposure(clocks),
         *_on_changes(clocks),
         *_on_rows(weights),
@@ -86,12 +86,16 @@ def import_recording(path: Path, programme: Programme, folder: Path, progress: P
     lines = [f"{flow_yaml(key)}: {flow_yaml(value)}\n" for key, value in _header(samples, programme, imported).items()]
     lines.append("frames:\n")
     pictures = zip(averaged.pictures, programme.patterns, weights, noise, strict=True)
-    for number, (light, pattern, each, sigma) in enumerate(
+    for number, (light, pattern, frame_weights, sigma) in enumerate(
         progress.track(pictures, len(weights), "Writing the frames")
     ):
         file = f"frames/{number:03d}.png"
         write_png(folder / file, image_of(light, video.quarter_turns))
-        more = {"averaged": round(_frames(each), 2), "alone": round(each.alone, 3), "noise": float(f"{sigma:.3g}")}
+        more = {
+            "averaged": round(_frames(frame_weights), 2),
+            "alone": round(frame_weights.alone, 3),
+            "noise": float(f"{sigma:.3g}"),
+        }
         lines.append(frame_line(file, pattern, **more))
     (folder / CAPTURE_FILE).write_text("".join(lines), encoding="utf-8")
     return imported
@@ -106,7 +110,7 @@ def _header(samples: VideoSamples, programme: Programme, imported: Imported) -> 
     clocks, (width, height) = imported.clocks, samples.video.size
     upright = (height, width) if samples.video.quarter_turns % 2 else (width, height)
     slot_s = float(np.mean([loop.slot_s for loop in clocks.loops]))
-    found = {
+    statement = {
         "file": samples.video.path.name,
         "frames": len(samples.times_s),
         "frames_per_second": round(1 / samples.frame_interval_s, 3),
@@ -125,7 +129,7 @@ def _header(samples: VideoSamples, programme: Programme, imported: Imported) -> 
         **aspect_to_dict(programme.grid),
         "camera": size_to_dict(upright),
         "imported from": "a recording",
-        "recording": found,
+        "recording": statement,
     }
 
 
@@ -167,7 +171,7 @@ def _on_changes(clocks: Clocks) -> Iterator[Finding]:
 
 
 def _on_rows(weights: list[PictureWeights]) -> Iterator[Finding]:
-    unmixed = 1 - float(np.mean([each.alone for each in weights]))
+    unmixed = 1 - float(np.mean([frame_weights.alone for frame_weights in weights]))
     lost = float(np.mean([np.mean(~weight.weights.any(axis=0)) for weight in weights]))
     if unmixed > 0:
         message = f"{unmixed:.1%} of the pictures' rows were unmixed from frames that show two pictures."

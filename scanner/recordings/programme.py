@@ -62,8 +62,8 @@ class Programme:
     @cached_property
     def mark(self) -> tuple[int, ...]:
         """The start mark: WHITE or BLACK in each slot of `hold_s`. Its last bits identify the sequence."""
-        shown = "".join(str(pattern_to_dict(pattern)) for pattern in self.patterns)
-        number = zlib.crc32(f"{tuple(self.size)} {shown}".encode()) % (1 << _ID_BITS)
+        listed = "".join(str(pattern_to_dict(pattern)) for pattern in self.patterns)
+        number = zlib.crc32(f"{tuple(self.size)} {listed}".encode()) % (1 << _ID_BITS)
         bits = (0, *_RHYTHM, *(number >> bit & 1 for bit in range(_ID_BITS)), 0)
         return tuple(WHITE if bit else BLACK for bit in bits)
 

@@ -69,8 +69,8 @@ def observe(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Shar
             after.append(np.broadcast_to(later, (len(near), *later.shape)))
             alone.append(np.broadcast_to(earlier_alone & later_alone, (len(near), len(earlier))))
     frame, of_change = np.concatenate(frames), np.concatenate(of_changes)
-    seen = samples.light(clocks.tone, frame)
-    share, energy = _shares(seen, np.concatenate(before), np.concatenate(after), samples)
+    light = samples.light(clocks.tone, frame)
+    share, energy = _shares(light, np.concatenate(before), np.concatenate(after), samples)
     weight = np.sqrt(np.minimum(energy / max(float(np.median(energy)), 1e-9), 1.0))
     weight[energy < _LEAST_ENERGY * np.median(energy)] = 0
     weight *= np.concatenate(alone)[..., None]
@@ -140,14 +140,14 @@ def _picture(samples: VideoSamples, clocks: Clocks, begins: float, ends: float) 
     return picture, nearest <= (ends - begins - clocks.exposure_s) / 2
 
 
-def _shares(seen: Light, before: Light, after: Light, samples: VideoSamples) -> tuple[Floats, Floats]:
+def _shares(light: Light, before: Light, after: Light, samples: VideoSamples) -> tuple[Floats, Floats]:
     """Shares (M, R, 2) by least squares over the columns, and the sums of squared differences that determine them."""
     usable = samples.lit & (np.maximum(before, after) < 1)
     differences = np.where(usable, after - before, 0)
     shares, energies = [], []
     for part in (np.maximum(differences, 0), np.minimum(differences, 0)):
         energy = np.einsum("mrc,mrc->mr", part, part)
-        shares.append(np.einsum("mrc,mrc->mr", seen - before, part) / np.maximum(energy, 1e-12))
+        shares.append(np.einsum("mrc,mrc->mr", light - before, part) / np.maximum(energy, 1e-12))
         energies.append(energy)
     return np.clip(np.stack(shares, axis=2), -0.5, 1.5).astype(np.float64), np.stack(energies, axis=2).astype(
         np.float64

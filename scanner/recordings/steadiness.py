@@ -48,11 +48,11 @@ def white_frames(samples: VideoSamples, programme: Programme, clocks: Clocks) ->
 
 def moved_px(whites: Mapping[int, Image]) -> float:
     """The largest shift of the picture between the first of the frames and others, in camera pixels."""
-    first, *others = [white.astype(np.float32) for white in whites.values()]
-    return max((_shift_px(first, other) for other in others), default=0.0)
+    first, *later = [white.astype(np.float32) for white in whites.values()]
+    return max((_shift_px(first, second) for second in later), default=0.0)
 
 
-def _shift_px(first: Light, other: Light) -> float:
+def _shift_px(first: Light, second: Light) -> float:
     """Median shift over tiles with a clear result; 0 without any."""
     height, width = (side // _TILES for side in first.shape)
     tall, wide = min(height, _TILE_PX), min(width, _TILE_PX)
@@ -60,20 +60,20 @@ def _shift_px(first: Light, other: Light) -> float:
     for top in range(height // 2 - tall // 2, first.shape[0] - tall + 1, height):
         for left in range(width // 2 - wide // 2, first.shape[1] - wide + 1, width):
             tile = slice(top, top + tall), slice(left, left + wide)
-            shift = _shift_of_tile(np.ascontiguousarray(first[tile]), np.ascontiguousarray(other[tile]))
+            shift = _shift_of_tile(np.ascontiguousarray(first[tile]), np.ascontiguousarray(second[tile]))
             if shift is not None:
                 shifts.append(shift)
     return float(np.median(shifts)) if len(shifts) >= _FEWEST_CLEAR else 0.0
 
 
-def _shift_of_tile(first: Light, other: Light) -> float | None:
+def _shift_of_tile(first: Light, second: Light) -> float | None:
     """Return the shift of maximal correlation (Evangelidis and Psarakis, TPAMI 30, 2008); None where nothing agrees
     well.
     """
     at_rest = np.eye(2, 3, dtype=np.float32)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _ITERATIONS, 1e-4)
     try:
-        clear, move = cv2.findTransformECC(first, other, at_rest, cv2.MOTION_TRANSLATION, criteria)
+        clear, move = cv2.findTransformECC(first, second, at_rest, cv2.MOTION_TRANSLATION, criteria)
     except cv2.error:  # no texture, or no convergence
         return None
     return float(np.hypot(move[0, 2], move[1, 2])) if clear > _CLEAR else None

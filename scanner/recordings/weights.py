@@ -49,15 +49,15 @@ def picture_weights(samples: VideoSamples, programme: Programme, clocks: Clocks)
     many rows.
     """
     gains = frame_gains(samples, programme, clocks)
-    found = [_weights(samples, programme, clocks, pattern, gains) for pattern in range(len(programme.patterns))]
-    lost = max(float(np.mean(~each.weights.any(axis=0))) for each in found)
+    weights = [_weights(samples, programme, clocks, pattern, gains) for pattern in range(len(programme.patterns))]
+    lost = max(float(np.mean(~frame_weights.weights.any(axis=0))) for frame_weights in weights)
     if lost > _MOST_ROWS_LOST:
         raise InputError(
             f"{samples.video.path}: in {lost:.0%} of the rows a picture cannot be separated from the next. Each "
             f"is shown for {programme.hold_s:.3f} s, at {1 / samples.frame_interval_s:.1f} frames a second and "
             f"exposures of 1/{1 / clocks.exposure_s:.0f} s. Expose shorter, or write the video with a longer --hold"
         )
-    return found
+    return weights
 
 
 def _slots(programme: Programme, clocks: Clocks, pattern: int) -> list[tuple[int, int]]:
@@ -76,9 +76,9 @@ def _weights(
         frames = frames_between(samples, clocks, begins, ends)
         exposed = exposure_begins(samples, clocks, frames, rows)
         numbers.append(frames)
-        for margin, found in ((margin_s(clocks), usual), (max(_SHORT_MARGIN_S, clocks.scatter_s), close)):
+        for margin, masks in ((margin_s(clocks), usual), (max(_SHORT_MARGIN_S, clocks.scatter_s), close)):
             within = within_slot(exposed, clocks.exposure_s, (begins, ends), margin)
-            found.append(within & (gains[frames] > 0)[:, None])
+            masks.append(within & (gains[frames] > 0)[:, None])
     number, far, any_distance = np.concatenate(numbers), np.concatenate(usual), np.concatenate(close)
     chosen = np.where(far.any(axis=0), far, any_distance)
     count = chosen.sum(axis=0)
@@ -103,20 +103,20 @@ def _unmixed(
 ) -> tuple[Ints, Floats]:
     """The same with the rows `mixed` by least squares from frames of it and its neighbours, whose shares are known."""
     shares, frames = [], []
-    unknown = {shown: column for column, shown in enumerate(_around(programme, pattern))}
+    unknown = {neighbour: column for column, neighbour in enumerate(_around(programme, pattern))}
     for loop, slot in _slots(programme, clocks, pattern):
         changes = clocks.changes(loop)
         first, last = slot - _NEIGHBOURS, min(slot + _NEIGHBOURS, len(programme.loop) - 1)
-        seen = frames_between(samples, clocks, changes[first], changes[last + 1])
-        begins = exposure_begins(samples, clocks, seen, mixed.astype(np.float64))
+        numbers = frames_between(samples, clocks, changes[first], changes[last + 1])
+        begins = exposure_begins(samples, clocks, numbers, mixed.astype(np.float64))
         share = np.zeros((*begins.shape, len(unknown)))
-        for other in range(first, last + 1):
-            overlap = np.minimum(begins + clocks.exposure_s, changes[other + 1]) - np.maximum(begins, changes[other])
-            share[..., unknown[programme.loop[other]]] += np.clip(overlap / clocks.exposure_s, 0, 1)
+        for near in range(first, last + 1):
+            overlap = np.minimum(begins + clocks.exposure_s, changes[near + 1]) - np.maximum(begins, changes[near])
+            share[..., unknown[programme.loop[near]]] += np.clip(overlap / clocks.exposure_s, 0, 1)
         # A frame that shows other pictures too has no weight in that row.
         share *= (share.sum(axis=2) > 1 - 1e-6)[..., None]
         shares.append(share)
-        frames.append(seen)
+        frames.append(numbers)
     share, frame = np.concatenate(shares).transpose(1, 0, 2), np.concatenate(frames)
     column = unknown[pattern]
     normal = np.swapaxes(share, 1, 2) @ share + _RIDGE**2 * np.eye(len(unknown))
@@ -135,7 +135,7 @@ def _unmixed(
 def _around(programme: Programme, pattern: int) -> list[int]:
     """Return the patterns shown within `_NEIGHBOURS` slots of a pattern, each once."""
     around = [programme.loop[slot - _NEIGHBOURS : slot + _NEIGHBOURS + 1] for slot in programme.slots_of(pattern)]
-    return list(dict.fromkeys(shown for each in around for shown in each))
+    return list(dict.fromkeys(neighbour for window in around for neighbour in window))
 
 
 def frame_gains(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Floats:
@@ -156,13 +156,13 @@ def frame_gains(samples: VideoSamples, programme: Programme, clocks: Clocks) -> 
             group = group[within_slot(exposed, clocks.exposure_s, (begins, ends), margin_s(clocks)).mean(axis=1) > 0.5]
             if len(group) < _FEWEST:
                 continue
-            seen = samples.light(clocks.tone, group)[:, samples.lit].astype(np.float64)
-            middle = np.median(seen, axis=0)
+            levels = samples.light(clocks.tone, group)[:, samples.lit].astype(np.float64)
+            middle = np.median(levels, axis=0)
             # A dark picture hardly determines the brightness of its frames.
             weak = len(middle) * (_WEAK * white) ** 2
-            gain = (seen @ middle + weak) / (middle @ middle + weak)
+            gain = (levels @ middle + weak) / (middle @ middle + weak)
             gains[group] = gain
-            odd[group] = np.sqrt(np.mean((seen - gain[:, None] * middle) ** 2, axis=1)) / white
+            odd[group] = np.sqrt(np.mean((levels - gain[:, None] * middle) ** 2, axis=1)) / white
             measured[group] = True
     if measured.any():
         limit = max(_ODD, _ODD_TIMES * float(np.median(odd[measured])))

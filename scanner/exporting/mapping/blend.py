@@ -29,18 +29,18 @@ class LitRegion:
     distance: RowFile
 
 
-def distance_from_edge(view: ProjectorView, shown: Bools) -> Numbers:
-    """Distance (H, W) of the `shown` pixels from the nearest that is not, or has a step, over the image's height."""
-    height, width = shown.shape
+def distance_from_edge(view: ProjectorView, lit: Bools) -> Numbers:
+    """Distance (H, W) of the `lit` pixels from the nearest that is not, or has a step, over the image's height."""
+    height, width = lit.shape
     inside = np.zeros((height + 2, width + 2), np.uint8)
 
     def find(rows: slice) -> None:
-        inside[1:-1, 1:-1][rows] = shown[rows] & _without_steps(view, rows)
+        inside[1:-1, 1:-1][rows] = lit[rows] & _without_steps(view, rows)
 
-    in_rows(shown.shape, find)
+    in_rows(lit.shape, find)
     distance = np.asarray(cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1], np.float32)
     np.maximum(distance, 0.5, out=distance)  # pixels at the very edge need a projector, too
-    distance *= shown
+    distance *= lit
     distance /= height
     return distance
 

@@ -175,19 +175,19 @@ def _write_maps(
 def _write_places(view: ProjectorView, content: Content, maps: Mapping[str, Path]) -> Bools:
     """Write where in the content each pixel looks; returns where there is content (H, W)."""
     height, width = view.depth.shape
-    shown = np.zeros((height, width), np.bool_)
+    lit = np.zeros((height, width), np.bool_)
     with tiff_rows(maps["stmap.tiff"], (height, width, 3)) as stmap, maps["warp.png"].open("wb") as file:
         warp = PngFile(file, (height, width, 3), np.dtype(np.uint16), is_computed=True)
 
         def place(rows: slice) -> PngRows:
             places = content.coordinates(view.on_wall.read(rows))
-            shown[rows] = places[..., 2] > 0
+            lit[rows] = places[..., 2] > 0
             stmap.write(rows, places)
             return warp.compressed(_whole(places)[..., ::-1], is_last=rows.stop == height)
 
-        for compressed in by_rows(shown.shape, place):
+        for compressed in by_rows(lit.shape, place):
             warp.append(compressed)
-    return shown
+    return lit
 
 
 def _write_blend(region: LitRegion, total: Numbers, gamma: float, path: Path) -> None:

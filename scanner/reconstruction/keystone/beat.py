@@ -126,16 +126,16 @@ class Beat:
         """Contrasts without smooth variation over each plane, and without outliers; None for too few pixels."""
         half, middle = (size[0] - 1) / 2, (np.array(size) - 1) / 2
         points = (stripes.projector_px - middle) / half
-        found, chosen = None, plane >= 0
+        fit, chosen = None, plane >= 0
         for _ in range(_ROUNDS):
             smooth, chosen = smooth_over(plane, points, chosen)
             if np.count_nonzero(chosen) < max(_FEWEST, 2 * smooth.shape[1]):
                 return None
             data = stripes.log_ratio[chosen]
             data = data - smooth @ (smooth.T @ data)
-            found = cls(points[chosen], data, smooth, size, stripes.periods, wave)
+            fit = cls(points[chosen], data, smooth, size, stripes.periods, wave)
             chosen[np.flatnonzero(chosen)[np.abs(data) > _OUTLIER_SIGMAS * robust_sigma(data)]] = False
-        return found
+        return fit
 
     @property
     def half(self) -> float:
@@ -187,16 +187,16 @@ class Beat:
             residuals: Floats = step[-1] * self.waves(values(step)).sum(axis=0) - self.data
             return residuals
 
-        found = scipy.optimize.least_squares(
+        fit = scipy.optimize.least_squares(
             misfit, np.append(np.zeros(len(columns)), 1.0), method="lm", ftol=_PRECISE, xtol=_PRECISE
         )
-        best = values(found.x)
+        best = values(fit.x)
         strengths = np.linalg.lstsq(self.waves(best).T, self.data, rcond=None)[0]
-        jacobian = np.asarray(found.jac)
-        inner = np.linalg.pinv(jacobian.T @ jacobian) * np.mean(found.fun**2) * self.alike
+        jacobian = np.asarray(fit.jac)
+        inner = np.linalg.pinv(jacobian.T @ jacobian) * np.mean(fit.fun**2) * self.alike
         covariance = np.zeros((NUMBERS, NUMBERS))
         covariance[np.ix_(columns, columns)] = inner[:-1, :-1] / self.half**2
-        explained = 1 - float(np.mean(found.fun**2) / np.mean(self.data**2))
+        explained = 1 - float(np.mean(fit.fun**2) / np.mean(self.data**2))
         return BeatFit(best, covariance, free, explained, (float(strengths[0]), float(strengths[1])))
 
     def without(self, fit: BeatFit) -> "Beat":
