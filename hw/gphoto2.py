@@ -99,8 +99,8 @@ def list_cameras() -> list[CameraInfo]:
 def _there(gp: Any) -> list[tuple[str, str]]:
     """Models and ports."""
     try:
-        found = gp.Camera.autodetect()
-        return [(str(found.get_name(index)), str(found.get_value(index))) for index in range(found.count())]
+        cameras = gp.Camera.autodetect()
+        return [(str(cameras.get_name(index)), str(cameras.get_value(index))) for index in range(cameras.count())]
     except gp.GPhoto2Error as error:
         raise DeviceError(f"searching for photo cameras failed: {error.string}") from error
 
@@ -158,7 +158,7 @@ class GPhotoCamera(AbstractContextManager["GPhotoCamera"]):
     def expose_for(self, exposure_us: float) -> float:
         """Choose the shutter speed nearest to whole refresh periods; returns it in µs. Raises DeviceError."""
         wanted_s = whole_periods(exposure_us, self._refresh_hz)[0] / 1e6
-        choice = min(self._shutter_speeds, key=lambda each: abs(np.log(self._shutter_speeds[each] / wanted_s)))
+        choice = min(self._shutter_speeds, key=lambda name: abs(np.log(self._shutter_speeds[name] / wanted_s)))
         self._set(_SHUTTER, choice)
         self.exposure_s = self._shutter_speeds[choice]
         return self.exposure_us
@@ -201,7 +201,7 @@ class GPhotoCamera(AbstractContextManager["GPhotoCamera"]):
     def _found(self, wanted: str | None) -> tuple[str, str]:
         """Model and port."""
         there = _there(self._gp)
-        chosen = [each for each in there if wanted is None or wanted in each]
+        chosen = [name for name in there if wanted is None or wanted in name]
         if len(chosen) != 1:
             problem = "expected one photo camera" if wanted is None else f"no single photo camera is called {wanted!r}"
             raise DeviceError(not_found(problem, [f"{model} at {port}" for model, port in there]))
@@ -221,7 +221,7 @@ class GPhotoCamera(AbstractContextManager["GPhotoCamera"]):
                 self._set(names, wanted)
             self.identity[kind] = self._get(names) or "unknown"
         self._choose_format()
-        self._shutter_speeds = {each: s for each in self._choices(_SHUTTER) if (s := _seconds(each)) is not None}
+        self._shutter_speeds = {name: s for name in self._choices(_SHUTTER) if (s := _seconds(name)) is not None}
         if not self._shutter_speeds:
             raise DeviceError(f"camera {self.name}: its shutter speed cannot be set. Turn its dial to M, then rerun.")
         self.expose_for(settings.exposure_us)
@@ -232,7 +232,7 @@ class GPhotoCamera(AbstractContextManager["GPhotoCamera"]):
         now = self._get(_FORMAT)
         if now is None or _is_raw(now) == self._raw:
             return
-        fitting = [each for each in self._choices(_FORMAT) if _is_raw(each) == self._raw and "+" not in each]
+        fitting = [name for name in self._choices(_FORMAT) if _is_raw(name) == self._raw and "+" not in name]
         if not fitting:
             raise DeviceError(f"camera {self.name}: it sends {now} and offers nothing else. Choose it in its menu.")
         self._set(_FORMAT, fitting[0])
@@ -247,12 +247,12 @@ class GPhotoCamera(AbstractContextManager["GPhotoCamera"]):
         return None
 
     def _get(self, names: Sequence[str]) -> str | None:
-        found = self._widget(names)
-        return None if found is None else str(found[1].get_value())
+        widget = self._widget(names)
+        return None if widget is None else str(widget[1].get_value())
 
     def _choices(self, names: Sequence[str]) -> list[str]:
-        found = self._widget(names)
-        return [] if found is None else [str(choice) for choice in found[1].get_choices()]
+        widget = self._widget(names)
+        return [] if widget is None else [str(choice) for choice in widget[1].get_choices()]
 
     def _set(self, names: Sequence[str], value: str) -> None:
         """Set a value and read it back. Raises DeviceError if the camera sets another one."""
@@ -260,7 +260,7 @@ class GPhotoCamera(AbstractContextManager["GPhotoCamera"]):
         if found is None:
             raise DeviceError(f"camera {self.name}: it has no setting {names[0]}. Set it in the camera's menu.")
         config, widget = found
-        if (choices := [str(each) for each in widget.get_choices()]) and value not in choices:
+        if (choices := [str(choice) for choice in widget.get_choices()]) and value not in choices:
             raise DeviceError(
                 f"camera {self.name}: {names[0]} {value!r} is not available; it offers {', '.join(choices)}."
             )
@@ -270,7 +270,7 @@ class GPhotoCamera(AbstractContextManager["GPhotoCamera"]):
         refuse_other_setting(self.name, names[0], value, self._get(names))
 
     def _set_if_there(self, names: Sequence[str], wanted: Sequence[str]) -> None:
-        value = next((each for each in self._choices(names) if each in wanted), None)
+        value = next((name for name in self._choices(names) if name in wanted), None)
         if value is not None:
             self._set(names, value)
 

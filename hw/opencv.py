@@ -91,7 +91,7 @@ def load() -> Any:
 
 def list_cameras() -> list[CameraInfo]:
     """Webcams of this computer; streams have no list."""
-    numbers = sorted(int(each.name.removeprefix("video")) for each in _V4L.glob("video*")) if _V4L.is_dir() else []
+    numbers = sorted(int(path.name.removeprefix("video")) for path in _V4L.glob("video*")) if _V4L.is_dir() else []
     if not sys.platform.startswith("linux"):
         numbers = [*range(_PROBED)]
     return [found for number in numbers if (found := _looked_at(number)) is not None]

@@ -213,8 +213,8 @@ def _calibration_for(recording: Recording, path: Path, config: Config) -> tuple[
     Raises InputError if it is of another rig.
     """
     calibration = read_calibration(path)
-    found, expected = calibration.sizes, (recording.camera_size, recording.projector_size)
-    refuse_other_sizes(path, found, expected, "the capture's", ": this calibration belongs to another rig")
+    sizes, expected = calibration.sizes, (recording.camera_size, recording.projector_size)
+    refuse_other_sizes(path, sizes, expected, "the capture's", ": this calibration belongs to another rig")
     if config.earlier:
         raise InputError(
             "'earlier' adds captures to calibrate from, and --calibration replaces calibrating: give one "

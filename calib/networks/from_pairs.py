@@ -148,9 +148,9 @@ class _Stations:
         points, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
         for captures, overlaps in zip(self.captures, self.overlaps, strict=True):
             if (hub, new) in overlaps.seen:
-                told, seen = overlaps.known_points(devices, hub, new, _among(captures, names))
+                told, observed = overlaps.known_points(devices, hub, new, _among(captures, names))
                 points.append(told)
-                pixels.append(seen)
+                pixels.append(observed)
         return np.concatenate(points), np.concatenate(pixels)
 
     def calibrated(self, names: tuple[str, ...]) -> dict[PairName, CalibratedPair]:
@@ -261,53 +261,60 @@ def _seeded(rig: KnownRig, pair: PairName, sizes: Mapping[str, Size]) -> Network
     )
 
 
-def _with_next(seen: _Stations, network: Network, names: tuple[str, ...]) -> tuple[Network, tuple[str, ...]] | None:
+def _with_next(stations: _Stations, network: Network, names: tuple[str, ...]) -> tuple[Network, tuple[str, ...]] | None:
     """With the device that most known points place; None if none can be."""
     candidates = []
-    for pair in seen.pairs:
+    for pair in stations.pairs:
         for hub, new in (pair, pair[::-1]):
             if hub in names and new not in names:
-                told, pixels = seen.known_points(network, names, hub, new)
-                some = evenly(np.ones(len(told), np.bool_), _SAMPLE)
-                candidates.append((len(told), new, told[some], pixels[some]))
+                points, pixels = stations.known_points(network, names, hub, new)
+                some = evenly(np.ones(len(points), np.bool_), _SAMPLE)
+                candidates.append((len(points), new, points[some], pixels[some]))
     candidates.sort(key=lambda candidate: -candidate[0])
     for on_one_plane in (False, True):
-        for count, new, told, pixels in candidates:
+        for count, new, points, pixels in candidates:
             if count < FEWEST_TO_PLACE:
                 continue
-            size, point = seen.knowledge.sizes[new], seen.knowledge.point(new)
-            device = placed_before_wall(told, pixels, size, point.px) if on_one_plane else placed(told, pixels, size)
-            if device is None or not sees(device, told, pixels):
+            size, point = stations.knowledge.sizes[new], stations.knowledge.point(new)
+            device = (
+                placed_before_wall(points, pixels, size, point.px) if on_one_plane else placed(points, pixels, size)
+            )
+            if device is None or not sees(device, points, pixels):
                 continue
-            more, named = replace(network, devices=(*network.devices, seen.knowledge.held(new, device))), (*names, new)
+            more, named = (
+                replace(network, devices=(*network.devices, stations.knowledge.held(new, device))),
+                (*names, new),
+            )
             alone = np.zeros(more.size, np.bool_)
             alone[more.device_columns(len(names))] = True
-            fit = _fitted(seen, more, named, alone & seen.knowledge.free(more, named), ROUGH)
+            fit = _fitted(stations, more, named, alone & stations.knowledge.free(more, named), ROUGH)
             return fit.state, named
     return None
 
 
-def _fitted(seen: _Stations, network: Network, names: tuple[str, ...], free: Bools, tolerance: float) -> Fit[Network]:
-    prior = replace(seen.knowledge.prior(names), square=())
-    return NetworkProblem((), (), prior, free, seen.factors(network, names)).minimise(network, tolerance=tolerance)
+def _fitted(
+    stations: _Stations, network: Network, names: tuple[str, ...], free: Bools, tolerance: float
+) -> Fit[Network]:
+    prior = replace(stations.knowledge.prior(names), square=())
+    return NetworkProblem((), (), prior, free, stations.factors(network, names)).minimise(network, tolerance=tolerance)
 
 
-def _as_grown(seen: _Stations, network: Network, names: tuple[str, ...]) -> Grown:
+def _as_grown(stations: _Stations, network: Network, names: tuple[str, ...]) -> Grown:
     """The first station, by which to say what is missing."""
-    captures = seen.captures[0]
-    return Grown(names, network, _among(captures, names), (), captures, seen.overlaps[0], seen.knowledge)
+    captures = stations.captures[0]
+    return Grown(names, network, _among(captures, names), (), captures, stations.overlaps[0], stations.knowledge)
 
 
-def _match_px(seen: _Stations, pair: PairName) -> float:
+def _match_px(stations: _Stations, pair: PairName) -> float:
     """Noise of a pair's matches in projector pixels."""
-    return float(np.nanmedian([overlaps.match_px(pair) for overlaps in seen.overlaps]))
+    return float(np.nanmedian([overlaps.match_px(pair) for overlaps in stations.overlaps]))
 
 
-def _strain(seen: _Stations, network: Network, names: tuple[str, ...], pair: PairName, noise_px: float) -> Strain:
+def _strain(stations: _Stations, network: Network, names: tuple[str, ...], pair: PairName, noise_px: float) -> Strain:
     """How far a pair's matches are off their epipolar lines, at the station where they are furthest."""
     camera, projector = (names.index(name) for name in pair)
     furthest = 0.0
-    for captures in seen.captures:
+    for captures in stations.captures:
         if pair not in captures:
             continue
         some = captures[pair][evenly(np.ones(len(captures[pair]), np.bool_), _SAMPLE)]

@@ -158,13 +158,13 @@ class Grown:
                 size = self.knowledge.sizes[new]
                 if len(points) < FEWEST_TO_PLACE:
                     continue
-                found = (
+                device = (
                     placed_before_wall(points, pixels, size, self.knowledge.point(new).px)
                     if on_one_plane
                     else placed(points, pixels, size)
                 )
-                if found is not None and sees(found, points, pixels):
-                    return self._with_device(pair, new, found)
+                if device is not None and sees(device, points, pixels):
+                    return self._with_device(pair, new, device)
         return None
 
     def free(self, network: Network) -> Bools:
@@ -223,13 +223,13 @@ class Grown:
             if not others or not (label == NO_FACE).any():
                 continue
             raster, unlabelled = self.overlaps.rasters[name], np.flatnonzero(label == NO_FACE)
-            told = label_map(raster, [(pixels_of(each, role), each.labels) for each in others])
-            label[unlabelled] = read(raster, told, pixels_of(matches, role)[unlabelled])
+            labels_of_pixels = label_map(raster, [(pixels_of(each, role), each.labels) for each in others])
+            label[unlabelled] = read(raster, labels_of_pixels, pixels_of(matches, role)[unlabelled])
         return matches.with_faces(label)
 
-    def _with_device(self, pair: PairName, new: str, found: Device) -> "Grown":
+    def _with_device(self, pair: PairName, new: str, device: Device) -> "Grown":
         """With the device of a pair that was not placed before."""
-        network = replace(self.network, devices=(*self.network.devices, self.knowledge.held(new, found)))
+        network = replace(self.network, devices=(*self.network.devices, self.knowledge.held(new, device)))
         more = replace(self, names=(*self.names, new), network=network)._with_pair(pair)
         alone = np.zeros(more.network.size, np.bool_)
         alone[more.network.device_columns(len(self.names))] = True
@@ -243,22 +243,24 @@ class Grown:
         devices = [self.network.devices[self.names.index(name)] for name in pair]
         for number in np.unique(own[own >= 0]).tolist() if own is not None else ():
             on, new = own == number, (own == number) & (label == NO_FACE)
-            told = np.bincount(label[on & ~new], minlength=1)
-            if told.sum() >= _LEAST_ON_PLANE:
-                if told.max() > _NEARLY_ALL * told.sum():
-                    label[new] = told.argmax()
+            label_counts = np.bincount(label[on & ~new], minlength=1)
+            if label_counts.sum() >= _LEAST_ON_PLANE:
+                if label_counts.max() > _NEARLY_ALL * label_counts.sum():
+                    label[new] = label_counts.argmax()
                 continue
             if np.count_nonzero(new) < _LEAST_ON_PLANE:
                 continue
             some = matches[evenly(new, _SAMPLE)]
             points = triangulated(devices[0], devices[1], some.camera_px, some.projector_px)
             points = points[np.isfinite(points).all(axis=1)]
-            found = Plane.through(points, np.ones(len(points)), devices[0].pose.translation)
-            if not _in_front(found, devices[0], devices[1], some.camera_px):
+            candidate = Plane.through(points, np.ones(len(points)), devices[0].pose.translation)
+            if not _in_front(candidate, devices[0], devices[1], some.camera_px):
                 continue
-            same = [k for k, plane in enumerate(planes) if _alike(plane, found, points, devices[0].pose.translation)]
+            same = [
+                k for k, plane in enumerate(planes) if _alike(plane, candidate, points, devices[0].pose.translation)
+            ]
             label[new] = same[0] if same else len(planes)
-            planes += () if same else (found,)
+            planes += () if same else (candidate,)
         network = replace(self.network, planes=tuple(planes))
         return replace(self, network=network)._with(pair, matches.with_faces(label))
 
@@ -291,7 +293,7 @@ def _in_front(plane: Plane, camera: Device, projector: Device, camera_px: Floats
     return bool(np.mean(np.logical_and(*ahead)) > _NEARLY_ALL)
 
 
-def _alike(plane: Plane, found: Plane, points: Floats, eye: Floats) -> bool:
+def _alike(plane: Plane, candidate: Plane, points: Floats, eye: Floats) -> bool:
     """Whether a plane that was found through points (N, 3) may be one that is known; wrong ties are found later."""
     off = np.abs(plane.heights(points)) / np.linalg.norm(points - eye, axis=1)
-    return bool(abs(plane.normal @ found.normal) > _PARALLEL and np.median(off) < _ON_PLANE)
+    return bool(abs(plane.normal @ candidate.normal) > _PARALLEL and np.median(off) < _ON_PLANE)

@@ -66,7 +66,7 @@ def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Ma
     height, width = raster.height, raster.width
     rays, _ = unproject(device.lens, raster.centres.reshape(-1, 2))
     rays = device.pose.rotate(rays)
-    seen: dict[str, Floats] = {}
+    pixels_of: dict[str, Floats] = {}
     found: list[Floats] = []
     variances: list[Floats] = []
     chances: list[Floats] = []
@@ -77,7 +77,7 @@ def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Ma
         # Matches err in the projector's pixels.
         by_px = np.linalg.norm(np.einsum("hwij,hwi->hwj", at.by_own, by_camera_px), axis=-1).ravel()
         by_chance = by_px**2 * noise.match_px**2 / np.maximum(at.count.ravel(), 1)
-        seen[camera] = at.pixels
+        pixels_of[camera] = at.pixels
         found.append(depth.ravel())
         chances.append(by_chance)
         variances.append(by_chance + by_px**2 * noise.systematic_px**2)
@@ -95,8 +95,8 @@ def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Ma
         sigma,
         best.reshape(height, width),
         np.count_nonzero(weight, axis=0).reshape(height, width),
-        seen,
-        tuple(_disagreements(estimate, projector, raster, seen, depth, np.stack(chances))),
+        pixels_of,
+        tuple(_disagreements(estimate, projector, raster, pixels_of, depth, np.stack(chances))),
     )
 
 
@@ -104,13 +104,13 @@ def _disagreements(
     estimate: NetworkEstimate,
     projector: str,
     raster: ImageRaster,
-    seen: Mapping[str, Floats],
+    pixels_of: Mapping[str, Floats],
     depth: Floats,
     variance: Floats,
 ) -> list[DepthDisagreement]:
-    """Of each two cameras, in the order of `seen`; depths and their variances by noise, (cameras, cells)."""
+    """Of each two cameras, in the order of `pixels_of`; depths and their variances by noise, (cameras, cells)."""
     found, hub, network = [], estimate.names.index(projector), estimate.network
-    for (i, first), (j, second) in combinations(enumerate(seen), 2):
+    for (i, first), (j, second) in combinations(enumerate(pixels_of), 2):
         both = np.isfinite(depth[i]) & np.isfinite(depth[j])
         if np.count_nonzero(both) < _LEAST_SHARED:
             continue
@@ -121,7 +121,7 @@ def _disagreements(
         slopes = np.zeros((len(some), network.size))
         for number, name, sign in ((i, first, 1), (j, second, -1)):
             alone = (estimate.names.index(name),)
-            pixels = raster.centres.reshape(-1, 2)[some], seen[name].reshape(-1, 1, 2)[some]
+            pixels = raster.centres.reshape(-1, 2)[some], pixels_of[name].reshape(-1, 1, 2)[some]
             points = SharedPoints(hub, alone, *pixels, np.ones((len(some), 1)), depth[number, some])
             slopes[:, points.columns(network)] += sign * points.depth_slopes(network)
         by_devices = np.einsum("nc,cd,nd->n", slopes, estimate.covariance, slopes, optimize=True)

@@ -56,9 +56,11 @@ class SharedPoints:
         """The cost, under Huber's loss."""
         off, by_depth, jacobian, ahead = self._linearised(network)
         root = np.where(ahead[:, None], 1 / np.sqrt(self.variance), 0.0)[..., None]
-        left = jacobian + by_depth[..., None] * _slope_of_depth(root[..., 0] ** 2, by_depth, jacobian)[:, None, None]
-        residuals, by_columns = (root * off).reshape(len(off), -1), left * root[..., None]
-        by_columns = by_columns.reshape(*residuals.shape, left.shape[-1])
+        weighted = (
+            jacobian + by_depth[..., None] * _slope_of_depth(root[..., 0] ** 2, by_depth, jacobian)[:, None, None]
+        )
+        residuals, by_columns = (root * off).reshape(len(off), -1), weighted * root[..., None]
+        by_columns = by_columns.reshape(*residuals.shape, weighted.shape[-1])
         term = Term.robust(self.columns(network), residuals, by_columns, ROBUST_SIGMAS * np.sqrt(self.freedom / 2))
         return replace(term, cost=term.cost + _BEHIND * np.count_nonzero(~ahead))
 
@@ -184,7 +186,7 @@ def shared_points(
         [repeats[k] * seen[k].noise_px ** 2 / np.maximum(seen[k].count[row, column], 1) for k in others], axis=1
     )
     known = there[row, column]
-    found = SharedPoints(
+    shared = SharedPoints(
         hub,
         others,
         raster.centres[row, column],
@@ -193,7 +195,7 @@ def shared_points(
         first[good, 0],
         tuple(k in along for k in others) if along else (),
     )
-    relative, across = found.relative(network)
+    relative, across = shared.relative(network)
     larger = max(1.0, float(np.median(relative)))
     across = np.clip(across / np.sqrt(larger), -ROBUST_SIGMAS, ROBUST_SIGMAS)
-    return replace(found, variance=found.variance * larger * block_inflation(found.pixels, across))
+    return replace(shared, variance=shared.variance * larger * block_inflation(shared.pixels, across))

@@ -108,18 +108,18 @@ class Heights:
 def surfaces_of(problem: NetworkProblem, fit: Fit[Network]) -> tuple[PlaneRelief, ...]:
     """All planes, with heights that are as steep as residuals along them allow."""
     sights, variances = problem.parts, problem.variances
-    found = []
+    reliefs = []
     squares = []
     for plane, flat in enumerate(fit.state.planes):
         own = [i for i, sight in enumerate(sights) if sight.plane == plane]
         modes = modes_over([sights[i].points(fit.state) for i in own], flat.normal, _MARGIN)
-        found.append(PlaneRelief(tuple(sights[i] for i in own), tuple(variances[i] for i in own), tuple(modes), 1.0))
+        reliefs.append(PlaneRelief(tuple(sights[i] for i in own), tuple(variances[i] for i in own), tuple(modes), 1.0))
         for i, each in zip(own, modes, strict=True):
             by_height = sights[i].predict(fit.state)[1][:, :, -1]
             heights = np.sum(by_height * fit.residuals[i], axis=1) / np.sum(by_height**2, axis=1)
             squares.append(np.median(heights**2) / np.mean(np.sum(each**2, axis=1)))
     steepness = float(np.sqrt(4 * np.max(squares)))
-    return tuple(replace(each, steepness=steepness) for each in found)
+    return tuple(replace(each, steepness=steepness) for each in reliefs)
 
 
 def likeliest_steepness(

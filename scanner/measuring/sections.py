@@ -240,7 +240,7 @@ def write_section_svg(path: Path, contours: Sequence[Contour], unit: str) -> Non
     scale = (_WIDTH - 2 * _MARGIN) / float(extent.max())
     height = scale * float(extent[1]) + 2 * _MARGIN
     longest = sorted(enumerate(contours, start=1), key=lambda pair: -pair[1].length)[:_NAMED]
-    shown = shown_unit(unit)
+    length_unit = shown_unit(unit)
     numbers: list[tuple[float, float]] = []
     with path.open("w", encoding="utf-8") as file:
         whole = height + _LINE * len(longest)
@@ -259,7 +259,8 @@ def write_section_svg(path: Path, contours: Sequence[Contour], unit: str) -> Non
                 across, down = numbers[-1]
                 file.write(f'<text x="{across:.1f}" y="{down:.1f}">{number}</text>\n')
         for line, (number, contour) in enumerate(longest, start=1):
-            words = f"{number}: {shown.length(contour.length, contour.sigma)} ({contour.plane.name} {unit_name(unit)})"
+            length = length_unit.length(contour.length, contour.sigma)
+            words = f"{number}: {length} ({contour.plane.name} {unit_name(unit)})"
             file.write(f'<text x="{_MARGIN}" y="{height + _LINE * line - 8:.0f}">{words}</text>\n')
         file.write("</svg>\n")
 
@@ -283,12 +284,14 @@ def write_section_dxf(path: Path, contours: Sequence[Contour], unit: str) -> Non
 
     document = new("R2010", setup=True)
     document.header["$INSUNITS"] = 0 if unit == UNKNOWN_UNIT else _UNITS.get(unit, 0)
-    space, shown = document.modelspace(), shown_unit(unit)
+    space, length_unit = document.modelspace(), shown_unit(unit)
     size = 0.02 * float(np.ptp(np.concatenate([contour.points for contour in contours]), axis=0).max())
     for contour in contours:
         layer = contour.plane.name.replace("=", "at").replace(",", " ")
         points = [(float(x), float(y)) for x, y in contour.points.tolist()]
         space.add_lwpolyline(points, close=contour.is_closed, dxfattribs={"layer": layer})
-        text = space.add_text(shown.length(contour.length, contour.sigma), height=size, dxfattribs={"layer": "LENGTHS"})
+        text = space.add_text(
+            length_unit.length(contour.length, contour.sigma), height=size, dxfattribs={"layer": "LENGTHS"}
+        )
         text.set_placement(points[0])
     document.saveas(path)

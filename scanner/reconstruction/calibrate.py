@@ -125,14 +125,14 @@ def label(
     for number, capture in enumerate(captures):
         with naming(capture, among=len(captures)):
             refuse_moved(capture)
-            found = on_panel(_label(capture, config, masks if capture is captures[-1] else None), labelled)
-            reached[number] = found
+            capture_on_panel = on_panel(_label(capture, config, masks if capture is captures[-1] else None), labelled)
+            reached[number] = capture_on_panel
             refuse_few(
-                found.matches,
+                capture_on_panel.matches,
                 "Make sure that the projector's light falls on all three faces and capture again, or leave this "
                 "capture out.",
             )
-        labelled.append(found)
+        labelled.append(capture_on_panel)
     return labelled
 
 
@@ -144,10 +144,10 @@ def _label(capture: Decoded, config: Config, masks: Bools | None) -> Decoded:
     point = config.principal_point(capture.metadata.camera_size)
     known_px = None if point.sigma_px else point.px
     faces = find_faces(capture.matches, capture.metadata.camera_size, capture.metadata.projector_size, known_px)
-    found = faces.matches
+    matches = faces.matches
     if capture.decoding is not None:
-        found = without_margins(found, capture.metadata.camera_size, capture.decoding.footprint_px2)
-    return capture.with_matches(found, faces.plane)
+        matches = without_margins(matches, capture.metadata.camera_size, capture.decoding.footprint_px2)
+    return capture.with_matches(matches, faces.plane)
 
 
 def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrated]:
@@ -196,7 +196,7 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
     known = read_known(config.earlier, metadata.camera_size, metadata.projector_size)
     if len(labelled) == 1 and known is None:
         (alone,) = labelled
-        found = self_calibrate(
+        solution = self_calibrate(
             alone.matches,
             *sizes,
             principal_point=point,
@@ -206,7 +206,7 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
             plane=alone.plane,
             shifts=shifts_of(alone),
         )
-        return (found,)
+        return (solution,)
     return self_calibrate_jointly(
         [capture.matches for capture in labelled],
         *sizes,

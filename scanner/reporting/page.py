@@ -48,7 +48,7 @@ def write_report(path: Path, report: ReportInput) -> None:
     """
     parts = dict(zip(PARTS, in_parallel(lambda part: part(report), PARTS.values()), strict=True))
     tables = sections.tables(report)
-    solution, found = report.solution, report.reconstructed
+    solution, reconstructed = report.solution, report.reconstructed
     decision = verdict(report)
     text = page(
         "report.html",
@@ -68,7 +68,7 @@ def write_report(path: Path, report: ReportInput) -> None:
         photos=report.metadata.photos,
         captures=joint_rows(report),
         files=[(name, CORNER.files.get(name, "")) for name in report.files],
-        unit=found.calibration.unit if found else "",
+        unit=reconstructed.calibration.unit if reconstructed else "",
     )
     path.write_text(text, encoding="utf-8")
 
@@ -81,5 +81,5 @@ def _most_telling(
     **_: object,
 ) -> list[PageImage]:
     """The pictures of the first printed page."""
-    seen = faces.picture if faces else scene
-    return [*(merged or views)[:1], *([seen] if seen else [])]
+    shown_scene = faces.picture if faces else scene
+    return [*(merged or views)[:1], *([shown_scene] if shown_scene else [])]

@@ -106,24 +106,26 @@ def _judged(
     drawn: tuple[tuple[ScaledMap, str], ...], histogram: Markup, pixel: Floats, residual_px: Floats, size: Size
 ) -> ResidualMaps:
     """Residuals (N,) or (N, 2) at camera pixels (N, 2)."""
-    found = spatial_correlation(pixel, residual_px, max(4.0, size.width * _CELL_OF_WIDTH))
+    correlation = spatial_correlation(pixel, residual_px, max(4.0, size.width * _CELL_OF_WIDTH))
     total_px = float(np.sqrt(np.sum(residual_px**2) / max(1, len(residual_px))))
-    return ResidualMaps(drawn, histogram, total_px, statement(found), found is not None and found.structured)
-
-
-def statement(found: SpatialCorrelation | None) -> str:
-    """The test's outcome for a person."""
-    if found is None:
-        return "Too few of them are neighbours to test whether they are random."
-    chance = found.expected + 3 * found.sigma
-    numbers = (
-        f"means over squares of {found.cell_px:.0f} camera pixels correlate with their neighbours' by "
-        f"{found.correlation:.2f} (Moran's I), where chance gives less than {chance:.2f}"
+    return ResidualMaps(
+        drawn, histogram, total_px, statement(correlation), correlation is not None and correlation.structured
     )
-    if not found.significant:
+
+
+def statement(correlation: SpatialCorrelation | None) -> str:
+    """The test's outcome for a person."""
+    if correlation is None:
+        return "Too few of them are neighbours to test whether they are random."
+    chance = correlation.expected + 3 * correlation.sigma
+    numbers = (
+        f"means over squares of {correlation.cell_px:.0f} camera pixels correlate with their neighbours' by "
+        f"{correlation.correlation:.2f} (Moran's I), where chance gives less than {chance:.2f}"
+    )
+    if not correlation.significant:
         return f"No pattern beyond the noise: {numbers}."
-    shared = f"neighbours share {found.shared_px:.2g} px, {percent(found.shared_variance)} of the variance"
-    if not found.structured:
+    shared = f"neighbours share {correlation.shared_px:.2g} px, {percent(correlation.shared_variance)} of the variance"
+    if not correlation.structured:
         return f"Nearly random, with a faint pattern: {numbers}; {shared}."
     return f"Structured: {numbers}; {shared}."
 

@@ -365,6 +365,6 @@ def files_beside(page: Path, kind: ResultKind) -> list[tuple[str, str]]:
 def extent_row(points: NDArray[np.floating], unit: str, axes: str) -> tuple[str, str, str]:
     """The size of a cloud (N, 3) as a row of measures, without its strays."""
     low, high = np.quantile(points, (_STRAYS, 1 - _STRAYS), axis=0)
-    shown = shown_unit(unit)
-    size = " × ".join(shown.number(float(length)) for length in high - low)
-    return "extent", f"{size} {shown.name}", f"of the cloud along {axes}, without 0.1 % of strays at each end"
+    length_unit = shown_unit(unit)
+    size = " × ".join(length_unit.number(float(length)) for length in high - low)
+    return "extent", f"{size} {length_unit.name}", f"of the cloud along {axes}, without 0.1 % of strays at each end"

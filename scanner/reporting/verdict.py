@@ -125,11 +125,11 @@ def _about_matches(report: ReportInput) -> Iterator[str]:
 
 
 def _of_one_axis(report: ReportInput, statistics: CloudStatistics, axis: Axis) -> Verdict:
-    other = "y" if axis == "x" else "x"
+    across = "y" if axis == "x" else "x"
     reasons = [
         f"Wherever there is a match, all patterns along {axis} agree.",
         *_about_matches(report),
-        f"Only {axis} was measured. {other} is where the calibration's epipolar line crosses the stripe that a pixel "
+        f"Only {axis} was measured. {across} is where the calibration's epipolar line crosses the stripe that a pixel "
         "sees, so that all rays meet: that cannot check the calibration, which was taken as given.",
     ]
     if statistics.matched:

@@ -47,17 +47,17 @@ class View3d:
 
 def view3d(report: ReportInput) -> View3d | None:
     """The merged cloud if there is one, else the capture's own; None without a cloud."""
-    found, merged = report.reconstructed, report.joint.merged
-    if found is None:
+    reconstructed, merged = report.reconstructed, report.joint.merged
+    if reconstructed is None:
         return None
-    cloud = merged if merged is not None and len(merged.points) else found.cloud
+    cloud = merged if merged is not None and len(merged.points) else reconstructed.cloud
     total = len(cloud.points) if isinstance(cloud, MergedCloud) else cloud.statistics.kept
     if not total or not len(report.in_cloud):
         return None
-    points, colours, normals, grid = _thinned(report, found, cloud, total)
+    points, colours, normals, grid = _thinned(report, reconstructed, cloud, total)
     orientation = _orientation(report, cloud, points)
     thinned = Thinned(points, colours, normals, grid, total)
-    return turning_view(thinned, orientation, _outlines(report, found, cloud), found.calibration.unit)
+    return turning_view(thinned, orientation, _outlines(report, reconstructed, cloud), reconstructed.calibration.unit)
 
 
 class Thinned(NamedTuple):
@@ -117,7 +117,7 @@ def device_lines(device: Intrinsics, place: Pose, length: float, colour: str, na
 
 
 def _thinned(
-    report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCloud, total: int
+    report: ReportInput, reconstructed: Reconstructed, cloud: Cloud | MergedCloud, total: int
 ) -> tuple[Floats, NDArray[np.uint8], NDArray[np.float32], float]:
     """Points (n, 3), colours, normals, and the typical distance of neighbours."""
     if isinstance(cloud, MergedCloud):
@@ -127,7 +127,7 @@ def _thinned(
     else:
         stride = max(1, ceil(np.sqrt(total / _MOST_POINTS)))
         chosen = (slice(None, None, stride),) * 2
-        grid = stride * typical_depth(report, cloud) / found.calibration.camera.focal_px[0]
+        grid = stride * typical_depth(report, cloud) / reconstructed.calibration.camera.focal_px[0]
     there = np.isfinite(cloud.points[chosen][..., 2])
     colours = cloud.colours[chosen][there]
     white = max(1.0, float(np.percentile(colours, _WHITE_PERCENTILE))) if len(colours) else 255.0
@@ -154,9 +154,9 @@ def _orientation(report: ReportInput, cloud: Cloud | MergedCloud, points: Floats
     return looking(forward, up, points)
 
 
-def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCloud) -> list[dict[str, object]]:
+def _outlines(report: ReportInput, reconstructed: Reconstructed, cloud: Cloud | MergedCloud) -> list[dict[str, object]]:
     """The faces as closed polygons with their letters, both devices as pyramids, in the cloud's frame."""
-    calibrations: list[Calibration | None] = [found.calibration]
+    calibrations: list[Calibration | None] = [reconstructed.calibration]
     if isinstance(cloud, MergedCloud):
         calibrations = [row.calibration for row in report.joint.rows]
         length = FRUSTUM_LENGTH * float(np.linalg.norm(np.median(cloud.points, axis=0)))
@@ -169,7 +169,7 @@ def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCl
         # The capture of this page is the last one.
         lines += [
             {"colour": css_colour(colour), "text": name, "closed": True, "at": _moved(outline, to_cloud[-1])}
-            for name, colour, outline in _faces(report, found.cloud)
+            for name, colour, outline in _faces(report, reconstructed.cloud)
         ]
     for number, (calibration, pose) in enumerate(zip(calibrations, to_cloud, strict=True), start=1):
         if calibration is None:
@@ -191,7 +191,7 @@ def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCl
 
 def _faces(report: ReportInput, cloud: Cloud) -> list[tuple[str, Colour, Floats]]:
     """Name, colour and convex outline (n, 3) of each labelled face, in the camera's frame."""
-    sample, found = report.on_faces, []
+    sample, outlines = report.on_faces, []
     height, width = cloud.points.shape[:2]
     for label, (name, colour) in enumerate(zip(FACE_NAMES, FACE_COLOURS, strict=True)):
         on = np.flatnonzero(sample.face == label)
@@ -201,8 +201,8 @@ def _faces(report: ReportInput, cloud: Cloud) -> list[tuple[str, Colour, Floats]
         points = cloud.points[row[inside], column[inside]].astype(np.float64)
         points = points[np.isfinite(points[:, 2])]
         if len(points) >= 3:
-            found.append((name, colour, _outline(points)))
-    return found
+            outlines.append((name, colour, _outline(points)))
+    return outlines
 
 
 def _outline(points: Floats) -> Floats:

@@ -130,13 +130,13 @@ def _with_log_baseline(path: Path, stated: list[float], variance: Floats, calibr
         return np.zeros(len(COLUMNS))
     if len(stated) != len(COLUMNS):
         raise InputError(f"{path}: 'covariance.with_log_baseline' must be {len(COLUMNS)} numbers, found {len(stated)}")
-    found = np.array(stated)
+    covariance = np.array(stated)
     sigma = (calibration.sigma.known_baseline or 0.0) / calibration.baseline
-    if np.any(np.abs(found) > (1 + _ROUNDED) * sigma * np.sqrt(variance.clip(0)) + _NOTHING):
+    if np.any(np.abs(covariance) > (1 + _ROUNDED) * sigma * np.sqrt(variance.clip(0)) + _NOTHING):
         raise InputError(
             f"{path}: 'covariance.with_log_baseline' is more than the columns' and the baseline's own sigmas allow"
         )
-    return found
+    return covariance
 
 
 def _is_covariance(values: Floats) -> bool:

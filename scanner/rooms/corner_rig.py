@@ -95,7 +95,7 @@ def _of_most_stations(corners: dict[int, Uncertainty], stations: Sequence[Decode
     rigs = [_calibration(rig, stations) for _, rig, _ in candidates]
     offsets = [[line_offsets(station.matches, rig) for station in stations] for rig in rigs]
     usual = min(usual_px(of_rig) for of_rig in offsets)
-    on_lines = [sum(each.deviation_px(usual) is None for each in of_rig) for of_rig in offsets]
+    on_lines = [sum(offset.deviation_px(usual) is None for offset in of_rig) for of_rig in offsets]
     best = max(range(len(candidates)), key=lambda n: (on_lines[n], len(candidates[n][0])))
     return candidates[best]
 

@@ -98,17 +98,17 @@ def _guidance(captures: Sequence[Decoded], calibration: Calibration) -> list[str
             f"{(changed.get(newest) or changed[0]).message}. Camera, projector, zoom and focus have to stay as they "
             "are."
         ]
-    seen = [segment_capture(capture, calibration) for capture in captures]
-    found = register([each.view for each in seen], changed)
-    group = next((each for each in found.groups if newest in each.stations), None)
+    views = [segment_capture(capture, calibration) for capture in captures]
+    registration = register([each.view for each in views], changed)
+    group = next((each for each in registration.groups if newest in each.stations), None)
     if group is None:
         return [
             f"{captures[-1].name} overlaps none of the stations before it. It will be left out unless a later one "
             f"connects them: go back to where {captures[-2].name} stood, and {_turn(calibration, 'to one side')}"
         ]
-    shared = [pair for pair in found.pairs if newest in (pair.first, pair.second)]
+    shared = [pair for pair in registration.pairs if newest in (pair.first, pair.second)]
     overlap = [_overlaps(captures, shared, newest)]
-    return [*overlap, _next(seen, group, newest, calibration)]
+    return [*overlap, _next(views, group, newest, calibration)]
 
 
 def _overlaps(captures: Sequence[Decoded], shared: Sequence[Pair], newest: int) -> str:
@@ -124,27 +124,27 @@ def _overlaps(captures: Sequence[Decoded], shared: Sequence[Pair], newest: int) 
     return f"{captures[newest].name} overlaps {', '.join(others)}.{weak}"
 
 
-def _next(seen: Sequence[CaptureView], group: Group, newest: int, calibration: Calibration) -> str:
+def _next(views: Sequence[CaptureView], group: Group, newest: int, calibration: Calibration) -> str:
     """The direction to turn the rig, towards what has not been seen."""
     turn, _ = upright(group.places, group.planes, np.ones(len(group.planes)))
     places = {k: turn @ place for k, place in zip(group.stations, group.places, strict=True)}
     middle = np.mean([place.translation[:2] for place in places.values()], axis=0)
-    open_bins = ~_seen_all_round(seen, places, middle)
+    open_bins = ~_seen_all_round(views, places, middle)
     width = 360.0 / _BINS
     ahead = places[newest].rotation[:2, 2]
     looked = int(np.degrees(np.arctan2(ahead[1], ahead[0])) % 360 / width)
-    left = next((k for k in range(_BINS) if open_bins[(looked + k) % _BINS]), None)
+    leftmost = next((k for k in range(_BINS) if open_bins[(looked + k) % _BINS]), None)
     right = next((k for k in range(_BINS) if open_bins[(looked - k) % _BINS]), None)
-    if left is None or right is None or np.count_nonzero(open_bins) * width < _LEAST_OPEN_DEG:
+    if leftmost is None or right is None or np.count_nonzero(open_bins) * width < _LEAST_OPEN_DEG:
         return "Everything around has been seen. Further stations close the loop or add detail."
-    return f"Next: {_turn(calibration, 'to the left' if left <= right else 'to the right')}"
+    return f"Next: {_turn(calibration, 'to the left' if leftmost <= right else 'to the right')}"
 
 
-def _seen_all_round(seen: Sequence[CaptureView], places: dict[int, Pose], middle: np.ndarray) -> Bools:
+def _seen_all_round(views: Sequence[CaptureView], places: dict[int, Pose], middle: np.ndarray) -> Bools:
     """Which directions from the middle (2,) have something that was seen, (bins,)."""
     count = np.zeros(_BINS)
     for k, place in places.items():
-        points = seen[k].view.points.reshape(-1, 3)[::50].astype(np.float64)
+        points = views[k].view.points.reshape(-1, 3)[::50].astype(np.float64)
         points = place @ points[np.isfinite(points[:, 2])]
         azimuth = np.degrees(np.arctan2(points[:, 1] - middle[1], points[:, 0] - middle[0])) % 360
         count += np.bincount((azimuth * _BINS / 360).astype(np.int64) % _BINS, minlength=_BINS)

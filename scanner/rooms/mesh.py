@@ -191,9 +191,9 @@ def _ideal(
     depth = filled(depths)
     nearest = cv2.INTER_NEAREST  # no interpolation between a surface and the one behind it
     column, row = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
-    seen = cv2.remap(depth, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    nearest_depth = cv2.remap(depth, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     colour = cv2.remap(station.cloud.colours, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-    return ideal, np.ascontiguousarray(seen, np.float32), (colour / 255.0).astype(np.float32)
+    return ideal, np.ascontiguousarray(nearest_depth, np.float32), (colour / 255.0).astype(np.float32)
 
 
 def filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -211,7 +211,7 @@ def _cleaned(mesh: Any, unit: str) -> Mesh | None:
         return None
     mesh.remove_unreferenced_vertices()
     mesh.compute_vertex_normals()
-    points, normals = (np.asarray(each) @ CAMERA_FROM_ROOM.T for each in (mesh.vertices, mesh.vertex_normals))
+    points, normals = (np.asarray(vectors) @ CAMERA_FROM_ROOM.T for vectors in (mesh.vertices, mesh.vertex_normals))
     normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, _NO_NORMAL)
     colours = np.rint(255 * np.asarray(mesh.vertex_colors)).astype(np.uint8)
     return Mesh(points, normals, colours, np.asarray(mesh.triangles).astype(np.int64), unit)

@@ -142,8 +142,12 @@ def _lengths(room: SolvedRoom, plan: FloorPlan) -> Iterator[tuple[str, str, str]
             (a, b) = ((line.start + line.end) / 2).tolist()
             where = f"along the floor, from corner to corner; its middle is at ({plain(a, 2)}, {plain(b, 2)})"
             yield f"wall, plane {line.plane}", unit.length(line.length.value, line.length.sigma), where
-    for one, other, apart in plan.gaps:
-        yield f"between planes {one} and {other}", unit.length(apart.value, apart.sigma), "walls that face each other"
+    for first, second, apart in plan.gaps:
+        yield (
+            f"between planes {first} and {second}",
+            unit.length(apart.value, apart.sigma),
+            "walls that face each other",
+        )
     if plan.height is not None:
         yield "height", unit.length(plan.height.value, plan.height.sigma), "from floor to ceiling"
     for corner in plan.corners:

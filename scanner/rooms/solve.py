@@ -239,9 +239,9 @@ def _estimated(members: Sequence[CaptureView], group: Group, start: RigStart, co
     )
 
 
-def _sight(seen: CaptureView) -> LabelledPicture | None:
-    picture = seen.decoded.texture
-    return None if picture is None else LabelledPicture.of(picture, seen.view.labels)
+def _sight(view: CaptureView) -> LabelledPicture | None:
+    picture = view.decoded.texture
+    return None if picture is None else LabelledPicture.of(picture, view.view.labels)
 
 
 def _cells(matches: Matches, plane: Ints) -> Cells:
@@ -264,17 +264,17 @@ def _square_pairs(members: Sequence[CaptureView], group: Group, start: RigStart)
     return pairs
 
 
-def _faces(seen: CaptureView, plane_of: Sequence[int], corner: Decoded | None) -> tuple[int, int, int]:
+def _faces(view: CaptureView, plane_of: Sequence[int], corner: Decoded | None) -> tuple[int, int, int]:
     """Which planes of the room the faces of a station's corner are; −1 where none is."""
     if corner is None:
         return -1, -1, -1
-    found = []
+    faces = []
     for face in range(3):
-        on_face = seen.plane[corner.matches.labels == face]
+        on_face = view.plane[corner.matches.labels == face]
         count = np.bincount(on_face[on_face >= 0], minlength=1)
         most = int(count.argmax())
-        found.append(plane_of[most] if plane_of and count[most] > _MOST_ON_FACE * len(on_face) else -1)
-    return found[0], found[1], found[2]
+        faces.append(plane_of[most] if plane_of and count[most] > _MOST_ON_FACE * len(on_face) else -1)
+    return faces[0], faces[1], faces[2]
 
 
 def _finished(

@@ -144,12 +144,12 @@ def textured(stations: Sequence[Station], calibration: Calibration, mesh: Mesh) 
     shown = []
     owner, largest = np.full(len(mesh.triangles), -1), np.zeros(len(mesh.triangles))
     for number, station in enumerate(pictured):
-        pixels, seen = _looked_at(station, points, camera, near)
-        shown.append(PointsInPicture(_without_gaps(station.cloud.colours, station.cloud.there), pixels, seen))
+        pixels, visible = _looked_at(station, points, camera, near)
+        shown.append(PointsInPicture(_without_gaps(station.cloud.colours, station.cloud.there), pixels, visible))
         corners = pixels[mesh.triangles]
         one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         area = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
-        larger = seen[mesh.triangles].all(axis=1) & (area > largest)
+        larger = visible[mesh.triangles].all(axis=1) & (area > largest)
         owner[larger], largest[larger] = number, area[larger]
     pictures = in_common_light(shown)
     pieces = []
@@ -184,8 +184,8 @@ def _looked_at(station: Station, points: Floats, camera: Intrinsics, near: float
     inside = ahead & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     low, high = (each[np.where(inside, row, 0), np.where(inside, column, 0)] for each in (nearest, farthest))
     with np.errstate(invalid="ignore"):
-        seen: Bools = inside & (own[:, 2] > low - near) & (own[:, 2] < high + near) & (high - low < _STEP * near)
-    return np.where(seen[:, None], pixels, 0.0), seen
+        visible: Bools = inside & (own[:, 2] > low - near) & (own[:, 2] < high + near) & (high - low < _STEP * near)
+    return np.where(visible[:, None], pixels, 0.0), visible
 
 
 def _without_gaps(colours: NDArray[np.uint8], there: Bools) -> NDArray[np.uint8]:

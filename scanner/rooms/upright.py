@@ -34,8 +34,8 @@ def upright(places: Sequence[Pose], planes: Sequence[Plane], areas: Floats) -> t
 
 def ceiling_of(planes: Sequence[Plane], areas: Floats) -> int | None:
     """The highest large plane that faces down, in a frame whose z is up."""
-    found = [i for i, plane in enumerate(planes) if plane.normal[2] < -_UPRIGHT]
-    large = [i for i in found if areas[i] >= _FLOOR_OF_LARGEST * max(areas[k] for k in found)]
+    floors = [i for i, plane in enumerate(planes) if plane.normal[2] < -_UPRIGHT]
+    large = [i for i in floors if areas[i] >= _FLOOR_OF_LARGEST * max(areas[k] for k in floors)]
     return max(large, key=lambda i: -planes[i].offset, default=None)
 
 

@@ -215,10 +215,10 @@ class ScaleBar:
 
 def scale_bar(px_per_unit: float, unit: str, density: int = 1) -> ScaleBar:
     """Return a bar of a round length; `px_per_unit` pixels are one of the cloud's unit, `density` one of the page."""
-    shown = shown_unit(unit)
-    step = nice_step(shown.factor * density * _WANTED_PX / px_per_unit)
-    name = "baseline" if step == 1 and shown.name == "baselines" else shown.name
-    return ScaleBar(step / shown.factor * px_per_unit, f"{step:g} {name}")
+    length_unit = shown_unit(unit)
+    step = nice_step(length_unit.factor * density * _WANTED_PX / px_per_unit)
+    name = "baseline" if step == 1 and length_unit.name == "baselines" else length_unit.name
+    return ScaleBar(step / length_unit.factor * px_per_unit, f"{step:g} {name}")
 
 
 def scale_bar_html(bar: ScaleBar, height: int) -> str:
