@@ -23,20 +23,20 @@ _OF_STATIONS = (CAPTURE_FILE, MATCHES_FILE, CAPTURES_FOLDER)
 
 @dataclass(frozen=True, eq=False)
 class RigStart:
-    """The rig before its room is estimated, in baselines.
-
-    `corners`: the stations from whose corners it was calibrated, by number, with their faces; empty if the calibration
-    was `given`, in its own unit, or is by what stations share. `uncertainty`: None if a given one states none.
-    `findings`: what is worth knowing of it. `places`: of stations that calibrated it, by number, nearly known:
-    X_any = R X_station + t.
-    """
+    """The rig before its room is estimated, in baselines."""
 
     calibration: Calibration
     uncertainty: Uncertainty | None
+    """None if a given calibration states none."""
     corners: Mapping[int, Decoded]
+    """The stations from whose corners it was calibrated, by number, with their faces; empty if the calibration was
+    `given`, in its own unit, or is by what stations share.
+    """
     given: Calibration | None = None
     findings: tuple[Finding, ...] = ()
+    """What is worth knowing of it."""
     places: Mapping[int, Pose] = field(default_factory=dict)
+    """Of stations that calibrated it, by number, nearly known: X_any = R X_station + t."""
 
 
 def given_rig(path: Path, config: Config) -> RigStart:

@@ -158,19 +158,20 @@ class OutlierView:
 
 @dataclass(frozen=True)
 class BoardCalibration:
-    """A calibration from boards, in their unit.
-
-    `estimate`: with the final covariance. `predictions`: each board by the others; `halves`: half of them compared with
-    the others, None if too few. `enlarged`: factor on the sigmas, if prediction errors, or a flat minimum, showed them
-    too small; otherwise 1. `left_out`: outlier views. `calibration` includes the sigmas.
-    """
+    """A calibration from boards, in their unit."""
 
     calibration: Calibration
+    """With the sigmas."""
     estimate: Estimate
+    """With the final covariance."""
     predictions: tuple[Prediction, ...]
+    """Each board by the others."""
     halves: Halves | None
+    """Half of the boards compared with the others, None if too few."""
     enlarged: float
+    """Factor on the sigmas, if prediction errors, or a flat minimum, showed them too small; otherwise 1."""
     left_out: tuple[OutlierView, ...]
+    """Outlier views."""
     coverage: BoardCoverage
     findings: tuple[Finding, ...]
 

@@ -22,25 +22,28 @@ _SAME_RAY = 1e-6  # in focal lengths
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference at camera pixels (N, 2) and depths (N,) that both devices of the first calibration see.
-
-    Lengths are in the first calibration's unit. `length` (N,): distance between the points; `px` (N,): distance between
-    their predicted projector pixels. `length_sigma`, `px_sigma` (N,): standard deviations by the covariances, 0 where
-    none is known. `chi2`: the squared difference in sigmas over all points, with `freedom` degrees of freedom.
-    `unexplained`: root mean square of the part of `length` that no modelled error explains. `scale`: factor on the
-    second calibration's lengths; 1 if both are metric.
-    """
+    """The difference of two calibrations at points that both devices of the first one see, in its unit."""
 
     camera_px: Floats
+    """Camera pixels, (N, 2)."""
     depth: Floats
+    """Depths, (N,)."""
     length: Floats
+    """Distance between the points, (N,)."""
     length_sigma: Floats
+    """Standard deviation of `length` by the covariances, 0 where none is known, (N,)."""
     px: Floats
+    """Distance between their predicted projector pixels, (N,)."""
     px_sigma: Floats
+    """Standard deviation of `px`, the same, (N,)."""
     chi2: float
+    """The squared difference in sigmas over all points."""
     freedom: int
+    """Degrees of freedom of `chi2`."""
     unexplained: float
+    """Root mean square of the part of `length` that no modelled error explains."""
     scale: float
+    """Factor on the second calibration's lengths; 1 if both are metric."""
 
     @property
     def limit(self) -> float:

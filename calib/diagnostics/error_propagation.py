@@ -33,18 +33,18 @@ NO_PIXEL = FindingKind(
 
 @dataclass(frozen=True)
 class Budget:
-    """The uncertainty budget of one number: standard deviations by source.
-
-    `scatter`: noise of single matches; `smooth`: errors of the decoder that neighbouring matches share; `calibration`:
-    its covariance, 0 if unknown; `scale`: the known length; `poses`: those of the scans that the points are of, 0 for
-    one scan. `sigma` combines them.
-    """
+    """The uncertainty budget of one number: standard deviations by source, which `sigma` combines."""
 
     scatter: float
+    """Noise of single matches."""
     smooth: float
+    """Errors of the decoder that neighbouring matches share."""
     calibration: float
+    """Of its covariance, 0 if unknown."""
     scale: float
+    """Of the known length."""
     poses: float = 0.0
+    """Of the scans that the points are of, 0 for one scan."""
 
     @property
     def sigma(self) -> float:

@@ -42,20 +42,23 @@ NOWHERE = Along(np.zeros((0, SHARED)), np.zeros(0))
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """A rig's state and `covariance` (21, 21) of the columns of devices and motion; lengths in baselines.
-
-    `by_principal_point` (21, 2): derivatives of the columns by the camera's principal point, per pixel, if that was
-    assumed as known; otherwise None. `match_px`: standard deviation of a match without a sigma of its own. `along`: the
-    curved part of the covariance. `with_log_baseline` (21,): covariance of the columns with the logarithm of the
-    baseline, if something else than the baseline fixed the scale.
-    """
+    """A rig's state and its covariance; lengths in baselines."""
 
     state: State
     covariance: Floats
+    """Of the columns of devices and motion, (21, 21)."""
     by_principal_point: Floats | None
+    """Derivatives of the columns by the camera's principal point, per pixel, if that was assumed as known, (21, 2);
+    otherwise None.
+    """
     match_px: float
+    """Standard deviation of a match without a sigma of its own."""
     along: Along = NOWHERE
+    """The curved part of the covariance."""
     with_log_baseline: Floats = field(default_factory=lambda: np.zeros(SHARED))
+    """Covariance of the columns with the logarithm of the baseline, if something else than the baseline fixed the
+    scale, (21,).
+    """
 
     @property
     def by_log_baseline(self) -> Floats:

@@ -30,20 +30,20 @@ class DeviceSigmas:
 
 @dataclass(frozen=True)
 class Sigmas:
-    """Standard deviations of a calibration, None where unknown; 0 is a number that was held fixed.
-
-    `rotation_deg`: about x, y, z; `translation_direction_deg`: of both directions across it, together;
-    `corner_angles_deg`: between the faces (B, C), (C, A), (A, B). Of the one length that fixed the scale, in the
-    calibration's unit: `known_baseline`, or `known_camera_to_corner`, the camera's distance from the corner's vertex.
-    """
+    """Standard deviations of a calibration, None where unknown; 0 is a number that was held fixed."""
 
     camera: DeviceSigmas = DeviceSigmas()
     projector: DeviceSigmas = DeviceSigmas()
     rotation_deg: tuple[float, float, float] | None = None
+    """About x, y, z."""
     translation_direction_deg: float | None = None
+    """Of both directions across it, together."""
     corner_angles_deg: tuple[float, float, float] | None = None
+    """Between the faces (B, C), (C, A), (A, B)."""
     known_baseline: float | None = None
+    """Of the length that fixed the scale, in the calibration's unit, if that was the baseline."""
     known_camera_to_corner: float | None = None
+    """The same, if it was the camera's distance from the corner's vertex."""
 
 
 @dataclass(frozen=True)

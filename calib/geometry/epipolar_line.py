@@ -19,17 +19,18 @@ _SAME_POINT = 1e-6  # in normalised coordinates
 
 @dataclass(frozen=True)
 class Crossings:
-    """Intersections of camera pixels' epipolar lines with the observed stripes.
-
-    `projector_px` (N, 2); `sine` (N,): of the angle between line and stripe, in projector pixels: an error e of the
-    known coordinate moves the intersection by e / sine along the line. `in_front` (N,): whether the intersection exists
-    and is the image of a point in front of both devices; otherwise `projector_px` is invalid and the angle ignores the
-    lens.
-    """
+    """Intersections of camera pixels' epipolar lines with the observed stripes."""
 
     projector_px: Floats
+    """The intersections, (N, 2)."""
     sine: Floats
+    """Of the angle between line and stripe, in projector pixels, (N,): an error e of the known coordinate moves the
+    intersection by e / sine along the line.
+    """
     in_front: Bools
+    """Whether the intersection exists and is the image of a point in front of both devices, (N,); otherwise
+    `projector_px` is invalid and the angle ignores the lens.
+    """
 
 
 def cross_epipolar_lines(camera_px: Floats, known_px: Floats, axis: int, calibration: Calibration) -> Crossings:

@@ -17,9 +17,6 @@ _PIECE = 1 << 19
 class Matches:
     """Corresponding points.
 
-    `camera_px`, `projector_px`: (N, 2). `face`: (N,) labels, `NO_FACE` for points on none of them (the default);
-    0, 1, 2 are the corner's faces. `sigma_px`: (N,) standard deviation of each coordinate of `projector_px`, or None.
-
     Millions of matches may be stored in single precision if the decoder is no more accurate. Indexing converts to
     double precision for arithmetic.
 
@@ -27,9 +24,13 @@ class Matches:
     """
 
     camera_px: Floats
+    """(N, 2)."""
     projector_px: Floats
+    """(N, 2)."""
     face: Ints | None = None
+    """Labels (N,), `NO_FACE` for points on none of them (the default); 0, 1, 2 are the corner's faces."""
     sigma_px: Floats | None = None
+    """Standard deviation (N,) of each coordinate of `projector_px`, or None."""
 
     def __post_init__(self) -> None:
         n = len(self.camera_px)

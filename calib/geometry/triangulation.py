@@ -23,17 +23,16 @@ _NUMBERS = 8  # numbers per match, to choose pieces that fit into the cache
 
 @dataclass(frozen=True)
 class Intersections:
-    """Intersections of the two rays of each match.
-
-    `points` (N, 3) in the camera's frame and the calibration's unit; `foot_px` (N, 2): projector image of the closest
-    point on the camera's ray; `residual_px` (N,): signed distance of the projector pixel from the
-    camera pixel's epipolar line; `in_front` (N,): in front of both devices, with every number finite.
-    """
+    """Intersections of the two rays of each match."""
 
     points: Floats
+    """In the camera's frame and the calibration's unit, (N, 3)."""
     foot_px: Floats
+    """Projector image of the closest point on the camera's ray, (N, 2)."""
     residual_px: Floats
+    """Signed distance of the projector pixel from the camera pixel's epipolar line, (N,)."""
     in_front: Bools
+    """In front of both devices, with every number finite, (N,)."""
 
 
 def intersect(matches: Matches, calibration: Calibration) -> Intersections:

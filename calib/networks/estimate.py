@@ -56,24 +56,29 @@ NO_CORNER_IN_NETWORK = FindingKind(
 
 @dataclass(frozen=True, eq=False)
 class NetworkEstimate:
-    """`names`: of the devices, in the network's order. `covariance` (size, size) of the network's columns, 0 for what
-    was held. `noise`: of each pair. `seed`: the pair whose distance is the unit of length. `waves` (P,): by how much
-    each plane is not flat, root mean square; 0 where nothing shows it. `warps`: whose picture seems to be warped.
-    `strains`: of each pair that sees a plane, or that was calibrated by itself. `disagreements`: of pairs that were, by
-    how many sigmas they are off, root mean square; none where a corner calibrates the network.
-    """
+    """Devices and planes of a network by one estimate, with what tests it."""
 
     names: tuple[str, ...]
+    """Of the devices, in the network's order."""
     sizes: Mapping[str, Size]
     fit: Fit[Network]
     covariance: Floats
+    """Of the network's columns, 0 for what was held, (size, size)."""
     noise: Mapping[PairName, Noise]
+    """Of each pair."""
     seed: PairName
+    """The pair whose distance is the unit of length."""
     sights: Sequence[PlaneObservation]
     waves: Floats
+    """By how much each plane is not flat, root mean square, (P,); 0 where nothing shows it."""
     warps: Warps
+    """Whose picture seems to be warped."""
     strains: Mapping[PairName, Strain]
+    """Of each pair that sees a plane, or that was calibrated by itself."""
     disagreements: Mapping[PairName, float] = field(default_factory=dict)
+    """Of pairs that were, by how many sigmas they are off, root mean square; none where a corner calibrates the
+    network.
+    """
 
     @property
     def network(self) -> Network:

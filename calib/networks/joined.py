@@ -23,19 +23,20 @@ _ELSEWHERE, _OF_MEDIAN = 0.005, 10.0  # of the depth, and of the median differen
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Of one projector's light, on a grid (h, w) of cells of its image; NaN for none.
-
-    `points` (h, w, 3) in the room's frame, `sigma` (h, w) along the projector's ray by the matches' noise, `best_sigma`
-    the same of the best camera alone, `cameras` (h, w) how many saw it. `seen_px`: by camera, where in its image
-    (h, w, 2). `disagreements`: of each two cameras.
-    """
+    """The points of one projector's light, on a grid (h, w) of cells of its image; NaN for none."""
 
     points: Floats
+    """In the room's frame, (h, w, 3)."""
     sigma: Floats
+    """Along the projector's ray, by the matches' noise, (h, w)."""
     best_sigma: Floats
+    """The same of the best camera alone."""
     cameras: Ints
+    """How many saw it, (h, w)."""
     seen_px: Mapping[str, Floats]
+    """By camera, where in its image, (h, w, 2)."""
     disagreements: tuple["DepthDisagreement", ...]
+    """Of each two cameras."""
 
     @property
     def gain(self) -> float:

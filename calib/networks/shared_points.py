@@ -26,19 +26,24 @@ _BEHIND = 100.0
 
 @dataclass(frozen=True, eq=False)
 class SharedPoints:
-    """`pixels` (M, 2) of the device `hub`; `seen` (M, K, 2) of the devices `others`, and `variance` (M, K) of each
-    coordinate there, infinite where one does not see the point. `depths` (M,) along the hub's rays of z = 1, roughly.
-    `along` (K,): which of the others tell only where along the hub's ray the point is, for their pixels' distances from
-    its picture, an epipolar line, are counted elsewhere; () for none.
-    """
+    """Points of one device, the hub, with their pixels in other devices that see them, too."""
 
     hub: int
+    """Number of the device."""
     others: tuple[int, ...]
+    """Numbers of the other devices."""
     pixels: Floats
+    """Of the hub, (M, 2)."""
     seen: Floats
+    """Pixels of the others, (M, K, 2)."""
     variance: Floats
+    """Of each coordinate there, infinite where one does not see the point, (M, K)."""
     depths: Floats
+    """Along the hub's rays of z = 1, roughly, (M,)."""
     along: tuple[bool, ...] = ()
+    """Which of the others tell only where along the hub's ray the point is, for their pixels' distances from its
+    picture, an epipolar line, are counted elsewhere, (K,); () for none.
+    """
 
     def columns(self, network: Network) -> Ints:
         """Those of the hub, then of all others, (18 (K + 1),)."""

@@ -42,22 +42,27 @@ class Grid:
 
 @dataclass(frozen=True)
 class Surfels:
-    """Around `camera_px` (M, 2), projector = `projector_px` (M, 2) + `jacobian` (M, 2, 2) · (camera − `camera_px`).
-
-    `cell` (M,): where on `grid`. `sigma_px` (M,): scatter of a match about the map, in projector pixels. `spread`
-    (M, 2, 2): Σ (camera − mean)(camera − mean)ᵀ over the matches behind a surfel, `count` (M,) of them. `tried`: how
-    many cells had enough matches.
+    """Local affine maps of cells: around `camera_px`, projector = `projector_px` + `jacobian` · (camera −
+    `camera_px`).
     """
 
     grid: Grid
     cell: Ints
+    """Where on `grid`, (M,)."""
     camera_px: Floats
+    """(M, 2)."""
     projector_px: Floats
+    """(M, 2)."""
     jacobian: Floats
+    """(M, 2, 2)."""
     sigma_px: Floats
+    """Scatter of a match about the map, in projector pixels, (M,)."""
     spread: Floats
+    """Σ (camera − mean)(camera − mean)ᵀ over the matches behind a surfel, (M, 2, 2)."""
     count: Ints
+    """Number of these matches, (M,)."""
     tried: int
+    """How many cells had enough matches."""
 
     def __len__(self) -> int:
         return len(self.cell)

@@ -20,20 +20,21 @@ _GOLDEN = -7046029254386353131
 
 @dataclass(frozen=True)
 class MergedCloud:
-    """Points in the corner's frame: origin at the vertex, axes along the legs, z along the most upright one.
-
-    `points` (N, 3) in `unit`, `colours` (N, 3) RGB, `normals` (N, 3) facing the camera that saw the point. `grid`: edge
-    of the voxels, which hold at most one point each. `turns`: for each capture, as in `View.in_corner`; `from_cameras`:
-    for each the pose of its camera.
-    """
+    """Points in the corner's frame: origin at the vertex, axes along the legs, z along the most upright one."""
 
     points: NDArray[np.float32]
+    """In `unit`, (N, 3)."""
     colours: NDArray[np.uint8]
+    """RGB, (N, 3)."""
     normals: NDArray[np.float32]
+    """Facing the camera that saw the point, (N, 3)."""
     unit: str
     grid: float
+    """Edge of the voxels, which hold at most one point each."""
     turns: tuple[int, ...]
+    """For each capture, as in `View.in_corner`."""
     from_cameras: tuple[Pose, ...]
+    """For each capture the pose of its camera."""
 
 
 def merged(clouds: Sequence[Cloud], views: Sequence[CornerView], turns: tuple[int, ...]) -> MergedCloud:

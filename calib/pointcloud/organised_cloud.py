@@ -142,41 +142,43 @@ def _fit_to_neighbours(
 
 @dataclass(frozen=True)
 class CloudStatistics:
-    """Counts of matches: `matched` is the sum of `kept` and all that were dropped.
-
-    `outside_image`: off the camera's grid; `behind`: not in front of both devices; `disagreeing`: the rays miss each
-    other by more than `limit_px`; `shared_pixel`: another match of the same camera pixel fitted better; `isolated`: no
-    neighbours on a common surface. `calibration_px` and `decoder_px`: root mean squares of the two parts of the
-    rays' misses, the smooth one and the rest, in projector pixels.
-    """
+    """Counts of matches: `matched` is the sum of `kept` and all that were dropped."""
 
     matched: int
     kept: int
     outside_image: int
+    """Off the camera's grid."""
     behind: int
+    """Not in front of both devices."""
     disagreeing: int
+    """The rays miss each other by more than `limit_px`."""
     shared_pixel: int
+    """Another match of the same camera pixel fitted better."""
     isolated: int
+    """No neighbours on a common surface."""
     limit_px: float
     calibration_px: float
+    """Root mean square of the smooth part of the rays' misses, in projector pixels."""
     decoder_px: float
+    """Root mean square of the rest of them, in projector pixels."""
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points on the camera's pixel grid, in the camera's frame (x right, y down, z forward).
-
-    `points` (H, W, 3) in `unit`, NaN where there is none; `colours` (H, W, 3) RGB; `normals` (H, W, 3), of unit length
-    and facing the camera; `residual_px` (H, W): signed distance of the projector pixel from the camera pixel's epipolar
-    line, also where the point was dropped for it, NaN where there was no match; `match` (H, W): the number of the match
-    that each point was triangulated from, of no meaning where there is none.
-    """
+    """Points on the camera's pixel grid, in the camera's frame (x right, y down, z forward)."""
 
     points: NDArray[np.float32]
+    """In `unit`, NaN where there is none, (H, W, 3)."""
     colours: NDArray[np.uint8]
+    """RGB, (H, W, 3)."""
     normals: NDArray[np.float32]
+    """Of unit length and facing the camera, (H, W, 3)."""
     residual_px: NDArray[np.float32]
+    """Signed distance of the projector pixel from the camera pixel's epipolar line, also where the point was dropped
+    for it, NaN where there was no match, (H, W).
+    """
     match: NDArray[np.int32]
+    """Number of the match that each point was triangulated from, of no meaning where there is none, (H, W)."""
     unit: str
     statistics: CloudStatistics
 

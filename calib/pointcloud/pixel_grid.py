@@ -30,23 +30,22 @@ _REACH_OF_SPACING = 1.5
 
 @dataclass(frozen=True)
 class Organised:
-    """Triangulated matches on the grid, and counts of those that were dropped.
-
-    `points` (H, W, 3) in the camera's frame, NaN where there is none; `residual_px` (H, W): ray miss of the point, or
-    of one dropped for it, NaN where no rays met; `match` (H, W): index of each point's match. `outside_image`,
-    `behind`, `disagreeing`, `shared_pixel`: as in `CloudStatistics`. `misses`: model of the misses; `trend_px`: root
-    mean square of their smooth part.
-    """
+    """Triangulated matches on the grid, and counts of those that were dropped, as in `CloudStatistics`."""
 
     points: NDArray[np.float32]
+    """In the camera's frame, NaN where there is none, (H, W, 3)."""
     residual_px: NDArray[np.float32]
+    """Ray miss of the point, or of one dropped for it, NaN where no rays met, (H, W)."""
     match: NDArray[np.int32]
+    """Index of each point's match, (H, W)."""
     outside_image: int
     behind: int
     disagreeing: int
     shared_pixel: int
     misses: RayGapModel
+    """Model of the misses."""
     trend_px: float
+    """Root mean square of their smooth part."""
 
 
 def organise(matches: Matches, calibration: Calibration) -> Organised:

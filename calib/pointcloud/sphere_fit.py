@@ -21,18 +21,17 @@ _STEEPEST = 0.17  # cosine of 80°; at steeper angles, noise decides whether a r
 
 @dataclass(frozen=True)
 class Sphere:
-    """`centre` (3,) and `radius`, in the unit of the points.
-
-    `covariance` (4, 4) of centre and radius; the radius's row and column are 0 if it was held fixed. `residual` (N,):
-    signed distance of each point from the surface, positive outside. `jacobian` (N, 4): derivatives of the surface's
-    outward displacement at each point, by centre and radius.
-    """
+    """A sphere fitted to points, in their unit."""
 
     centre: Floats
+    """(3,)."""
     radius: float
     covariance: Floats
+    """Of centre and radius, (4, 4); the radius's row and column are 0 if it was held fixed."""
     residual: Floats
+    """Signed distance of each point from the surface, positive outside, (N,)."""
     jacobian: Floats
+    """Derivatives of the surface's outward displacement at each point, by centre and radius, (N, 4)."""
 
     @property
     def influence(self) -> Floats:

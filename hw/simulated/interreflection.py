@@ -36,17 +36,16 @@ CEILING = 5  # the ceiling's number among the surfaces
 
 @dataclass(frozen=True)
 class Gathered:
-    """Linear maps to the irradiance of nodes, one row per node.
-
-    `from_picture`: from a picture's pyramid, over one diffuse reflection. `from_nodes`: from the irradiance of the
-    solving nodes, over one reflection. `from_ceiling` (n,): irradiance per unit of radiosity emitted by the ceiling.
-    `exposed` (n,): nodes that are not covered by a solid; the rows of others are zero.
-    """
+    """Linear maps to the irradiance of nodes, one row per node."""
 
     from_picture: sparse.csr_array
+    """From a picture's pyramid, over one diffuse reflection."""
     from_nodes: sparse.csr_array
+    """From the irradiance of the solving nodes, over one reflection."""
     from_ceiling: Light
+    """Irradiance per unit of radiosity emitted by the ceiling, (n,)."""
     exposed: Bools
+    """Nodes that are not covered by a solid; the rows of others are zero, (n,)."""
 
 
 @dataclass(frozen=True)
@@ -165,20 +164,20 @@ def _low_discrepancy(count: int) -> Floats:
 
 @dataclass(frozen=True)
 class Interreflection:
-    """Indirect irradiance at the nodes of a mesh, the solving nodes first.
-
-    `first` maps a picture's pyramid to the light after one reflection. `exchange`, the LU factors of I − G, maps this
-    light at the solving nodes to that after any number of reflections. `to_creases` maps the light of the solving nodes
-    to the crease nodes. `ceiling` (nodes,): irradiance per unit of radiosity emitted by the ceiling. `stand_in`
-    (nodes,): the node whose light to use at each node. It is another node where a solid covers the node, so that no
-    darkness appears around the base of furniture.
-    """
+    """Indirect irradiance at the nodes of a mesh, the solving nodes first."""
 
     first: sparse.csr_array
+    """Maps a picture's pyramid to the light after one reflection."""
     exchange: tuple[Light, Ints]
+    """The LU factors of I − G; map this light at the solving nodes to that after any number of reflections."""
     to_creases: sparse.csr_array
+    """Maps the light of the solving nodes to the crease nodes."""
     ceiling: Light
+    """Irradiance per unit of radiosity emitted by the ceiling, (nodes,)."""
     stand_in: Indices
+    """The node whose light to use at each node, (nodes,). It is another node where a solid covers the node, so that no
+    darkness appears around the base of furniture.
+    """
 
     def irradiance(self, pyramid: Light) -> Light:
         """Irradiance (nodes,) by light that was reflected at least once, for a picture's pyramid."""

@@ -109,26 +109,26 @@ _PROJECTOR_STEP_PX = 20  # at the paper's 854 × 480
 
 @dataclass(frozen=True)
 class ViewCriteria:
-    """Criteria of one view of the corner.
-
-    `label_shares` (6,): shares of the camera's directly lit pixels by `Label`. `lit_share`: share of the camera's
-    pixels that are directly lit. `picture_in_frame`: share of the projector's rays that end inside the camera's image,
-    occluded or not. `baseline_out_of_face`: the smallest sine of the angle between the baseline and a face. `forward`:
-    absolute cosine between the baseline and the camera's axis. `grazing`: the smallest sine of the angle between a face
-    and a device's ray to the vertex. `clearance_m`: the smallest distance between a device and a face. `vertex_hidden`:
-    furniture occludes the vertex from the camera. `sphere_lit`: share of the camera's sphere pixels that are directly
-    lit; NaN without a sphere.
-    """
+    """Criteria of one view of the corner."""
 
     label_shares: Floats
+    """Shares of the camera's directly lit pixels by `Label`, (6,)."""
     lit_share: float
+    """Share of the camera's pixels that are directly lit."""
     picture_in_frame: float
+    """Share of the projector's rays that end inside the camera's image, occluded or not."""
     baseline_out_of_face: float
+    """The smallest sine of the angle between the baseline and a face."""
     forward: float
+    """Absolute cosine between the baseline and the camera's axis."""
     grazing: float
+    """The smallest sine of the angle between a face and a device's ray to the vertex."""
     clearance_m: float
+    """The smallest distance between a device and a face."""
     vertex_hidden: bool
+    """Furniture occludes the vertex from the camera."""
     sphere_lit: float
+    """Share of the camera's sphere pixels that are directly lit; NaN without a sphere."""
 
     def is_suitable(self, smallest_face: float) -> bool:
         """Whether the operator's guide would recommend the view.

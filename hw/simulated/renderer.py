@@ -28,21 +28,21 @@ _WALLPAPER_STREAM = 102  # a stream of its own: a wallpaper leaves all other ran
 
 @dataclass(frozen=True)
 class Renderer:
-    """The linear map from a picture to the brightness of the camera's pixels, found once for all pictures.
-
-    `footprints`: of all camera pixels, by `caster`. `interreflection`: None if surfaces do not light each other.
-    `ceiling` (nodes,): irradiance by ambient light as bright as the projector's white, scaled by `ambient_level`.
-    `turn` (3, 3): homography from the pixels of a projector that has moved to those with the same direction when the
-    interreflection was solved; None if it has not moved.
-    """
+    """The linear map from a picture to the brightness of the camera's pixels, found once for all pictures."""
 
     picture: PictureOptics
     caster: FootprintCaster
     footprints: Footprints
+    """Of all camera pixels, by `caster`."""
     interreflection: Interreflection | None
+    """None if surfaces do not light each other."""
     ceiling: Light
+    """Irradiance by ambient light as bright as the projector's white, scaled by `ambient_level`, (nodes,)."""
     ambient_level: float
     turn: Floats | None = None
+    """Homography from the pixels of a projector that has moved to those with the same direction when the
+    interreflection was solved, (3, 3); None if it has not moved.
+    """
 
     @property
     def shape(self) -> tuple[int, int]:

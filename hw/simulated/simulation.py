@@ -28,17 +28,16 @@ _ROOM_SETTINGS = (*DRAWN_BY, "pose", "projector_pose", "albedo", "wallpaper", "i
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """Ground truth at the centre of each camera pixel.
-
-    `projector_px` (H, W, 2): the projector pixel that lights it directly; NaN in shadow and outside the picture.
-    `points_m` (H, W, 3): the surface point in the camera's frame. `label` (H, W): the `Label` of the surface.
-    `direct_share` (H, W): direct light over all light of a white picture.
-    """
+    """Ground truth at the centre of each camera pixel."""
 
     projector_px: Floats
+    """The projector pixel that lights it directly; NaN in shadow and outside the picture, (H, W, 2)."""
     points_m: Floats
+    """The surface point in the camera's frame, (H, W, 3)."""
     label: Ints
+    """The `Label` of the surface, (H, W)."""
     direct_share: Floats
+    """Direct light over all light of a white picture, (H, W)."""
 
 
 def true_calibration(room: DrawnRoom, homography: Floats | None = None) -> Calibration | None:

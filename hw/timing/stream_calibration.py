@@ -97,17 +97,18 @@ _MOST_ADAPTED = 0.15  # at 0.35 the frames of a pattern and of its inverse contr
 
 @dataclass(frozen=True)
 class StreamTiming:
-    """Latency of frames by their arrival, in seconds, as the range over several flashes.
-
-    No frame shows a picture sooner than `soonest_s` after its swap's begin, and all show nothing else from `latest_s`
-    after its end. `period_s`: time between frames. `adapted`: relative change of brightness after white had arrived,
-    the largest of all channels, caused by automatic exposure or white balance.
-    """
+    """Latency of frames by their arrival, in seconds, as the range over several flashes."""
 
     soonest_s: float
+    """No frame shows a picture sooner than this after its swap's begin."""
     latest_s: float
+    """All frames show nothing else from this long after its end."""
     period_s: float
+    """Time between frames."""
     adapted: float
+    """Relative change of brightness after white had arrived, the largest of all channels, caused by automatic exposure
+    or white balance.
+    """
 
 
 def calibrate_stream(projector: FlippingProjector, camera: StreamingCamera) -> tuple[StreamTiming, RestingLight]:

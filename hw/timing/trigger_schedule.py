@@ -22,18 +22,20 @@ HEADWAY_S = 0.0005  # pictures follow each other this much more slowly than fram
 
 @dataclass(frozen=True)
 class Pace:
-    """Timing of pipelined acquisition, margins included.
-
-    Light arrives no sooner than `soonest_s` after the begin of a swap, and completely `latest_s` after its end; swaps
-    take `swapping_s`. Pictures are at least `least_s` apart, so that no exposure contains two, even if the camera
-    begins `wait_s` after its trigger. `cycle_s`: until the camera is ready again.
-    """
+    """Timing of pipelined acquisition, margins included."""
 
     soonest_s: float
+    """Light arrives no sooner than this after the begin of a swap."""
     latest_s: float
+    """Light has arrived completely this long after the end of a swap."""
     swapping_s: float
+    """How long swaps take."""
     least_s: float
+    """Pictures are at least this far apart, so that no exposure contains two, even if the camera begins `wait_s` after
+    its trigger.
+    """
     cycle_s: float
+    """Until the camera is ready again."""
     wait_s: float
 
     @property

@@ -91,22 +91,24 @@ class _CaptureEntry(Entry):
 
 @dataclass(frozen=True)
 class Recording:
-    """A capture on disk whose listing was checked; its images are read, and checked, one at a time.
-
-    `files` are the frames' paths relative to `folder`, one for each of `patterns`; `read_back` their exposures (µs) and
-    time stamps (ns) where known. `metadata` is all of `capture.yaml`. `planned`: the patterns that were to be shown, as
-    far as the recording says so, the frames' own first; empty if it does not. `findings`: what is left out of it.
-    """
+    """A capture on disk whose listing was checked; its images are read, and checked, one at a time."""
 
     folder: Path
     files: tuple[str, ...]
+    """Paths of the frames relative to `folder`, one for each of `patterns`."""
     patterns: tuple[Pattern, ...]
     projector_size: Size
     camera_size: Size
     metadata: Mapping[str, Any]
+    """All of `capture.yaml`."""
     read_back: tuple[tuple[float | None, int | None], ...]
+    """Exposures (µs) and time stamps (ns) of the frames where known."""
     planned: tuple[Pattern, ...] = ()
+    """The patterns that were to be shown, as far as the recording says so, the frames' own first; empty if it does
+    not.
+    """
     findings: tuple[Finding, ...] = ()
+    """What is left out of it."""
 
     def stream(self) -> Stream:
         """The capture as it once arrived. Walking through the frames raises InputError at the first bad image."""

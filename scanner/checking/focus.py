@@ -64,18 +64,18 @@ CHECKED_FOCUS = FindingKind(
 
 @dataclass(frozen=True)
 class BlurSamples:
-    """Blur (N,) in projector pixels squared of cells of the camera's image, each along one axis.
-
-    `span` (N,): projector pixels per camera pixel across the stripes. `where` (N, 2): the cell's centre in the camera's
-    image, 0 … 1 from left to right and from top to bottom. `doubt2` (N,): what of `blur2` a lens that is no Gaussian
-    may have made up. `lost`: share of the cells in which even the longest fringes of a pair were gone.
-    """
+    """Blur of cells of the camera's image, each along one axis."""
 
     blur2: Floats
+    """In projector pixels squared, (N,)."""
     span: Floats
+    """Projector pixels per camera pixel across the stripes, (N,)."""
     where: Floats
+    """The cell's centre in the camera's image, 0 … 1 from left to right and from top to bottom, (N, 2)."""
     doubt2: Floats
+    """What of `blur2` a lens that is no Gaussian may have made up, (N,)."""
     lost: float
+    """Share of the cells in which even the longest fringes of a pair were gone."""
 
 
 def sample_blur(fringes: Mapping[tuple[Axis, float], FringePower], usable: Bools, projector_px: Floats) -> BlurSamples:
@@ -160,20 +160,22 @@ def _squares(period: float, slope: Floats) -> float:
 
 @dataclass(frozen=True)
 class Lenses:
-    """Blur of both lenses: `total_px`, the median of both together in projector pixels, and the share of each.
-
-    `projector2`, `camera2`: contributions to the square of the total, with the standard deviations `projector2_sigma`,
-    `camera2_sigma`; NaN if the view does not separate them. `doubt2`: error of the separation if the lenses are not
-    Gaussian. `span`: projector pixels per camera pixel, median.
-    """
+    """Blur of both lenses, and the share of each."""
 
     total_px: float
+    """Median of both together, in projector pixels."""
     projector2: float
+    """Contribution to the square of the total; NaN if the view does not separate the two."""
     camera2: float
+    """The same of the camera."""
     projector2_sigma: float
+    """Standard deviation of `projector2`."""
     camera2_sigma: float
+    """Standard deviation of `camera2`."""
     doubt2: float
+    """Error of the separation if the lenses are not Gaussian."""
     span: float
+    """Projector pixels per camera pixel, median."""
 
 
 def separate_lenses(samples: BlurSamples) -> Lenses | None:

@@ -70,19 +70,19 @@ OnRow = Callable[[CheckRow], None]
 
 @dataclass
 class CheckReport:
-    """The rows in the order in which they were found; `on_row` is called with each.
-
-    `exposure_us`: the exposure to scan with, None if none could be found. `response`: the projector's light at equally
-    spaced grey levels from 0 to 255, from 0 to 1, None if it was not measured. `pictures`: RGB images (H, W, 3) by
-    name. `failure`: why a scan would fail; None if it would not.
-    """
+    """The rows of a check, in the order in which they were found."""
 
     rows: list[CheckRow] = field(default_factory=list)
     exposure_us: float | None = None
+    """The exposure to scan with, None if none could be found."""
     response: tuple[float, ...] | None = None
+    """The projector's light at equally spaced grey levels from 0 to 255, from 0 to 1, None if it was not measured."""
     pictures: dict[str, Pixels] = field(default_factory=dict)
+    """RGB images (H, W, 3) by name."""
     failure: DeviceError | RefusalError | None = None
+    """Why a scan would fail; None if it would not."""
     on_row: OnRow | None = None
+    """Called with each row."""
 
     def add(self, *rows: CheckRow) -> None:
         """Take rows in."""

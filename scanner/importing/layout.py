@@ -50,22 +50,24 @@ SequenceOf = Callable[[Size, int, int], tuple[Pattern, ...]]
 
 @dataclass(frozen=True)
 class FrameLayout:
-    """The order of frames of a program (`name`, `title`), and where it is documented (`source`).
-
-    `sequences`: of each variant. `needs`: fields of `Given` that the frames cannot determine. `settings`: values from a
-    file beside the frames. `names`: the patterns, from the names of the frames. `last`: tried if no other fits.
-    `any_size`: a placeholder size, if only the lengths of periods and cells depend on it.
-    """
+    """The order of frames of a program."""
 
     name: str
     title: str
     source: str
+    """Where it is documented."""
     sequences: tuple[SequenceOf, ...] = ()
+    """Of each variant."""
     needs: tuple[Need, ...] = ()
+    """Fields of `Given` that the frames cannot determine."""
     settings: Callable[[Path], Given] = lambda _: Given()
+    """Values from a file beside the frames."""
     names: Callable[[tuple[Path, ...]], tuple[Pattern, ...]] | None = None
+    """The patterns, from the names of the frames."""
     last: bool = False
+    """Tried if no other fits."""
     any_size: Size | None = None
+    """A placeholder size, if only the lengths of periods and cells depend on it."""
 
     def lacks(self, given: Given) -> bool:
         """Whether something is needed that is not given."""

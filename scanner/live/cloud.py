@@ -40,23 +40,25 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class LiveCloud:
-    """The result of a round. `coordinate` (H, W) along the sequence's axis, NaN for none, `variance` (H, W).
-
-    `reason` (H, W): a `MaskReason`; `moving` (H, W): 1 where the brightness has changed since the last round.
-    `foreign`: by how much more, beyond chance, one frame has changed than any other of the six. `pixel` (N,): index of
-    each point in (H, W); `points` (N, 3) in the camera's frame and the calibration's unit; `sigma` (N,): standard
-    deviation along its ray, from noise and motion.
-    """
+    """The result of a round."""
 
     taken: Round
     coordinate: Map
+    """Along the sequence's axis, NaN for none, (H, W)."""
     variance: Map
+    """Of the coordinate, (H, W)."""
     reason: Reasons
+    """A `MaskReason` for each pixel, (H, W)."""
     moving: Reasons
+    """1 where the brightness has changed since the last round, (H, W)."""
     foreign: float
+    """By how much more, beyond chance, one frame has changed than any other of the six."""
     pixel: NDArray[np.int64]
+    """Index of each point in (H, W), (N,)."""
     points: NDArray[np.float32]
+    """In the camera's frame and the calibration's unit, (N, 3)."""
     sigma: NDArray[np.float32]
+    """Standard deviation along each point's ray, from noise and motion, (N,)."""
 
     @cached_property
     def picture(self) -> Image:

@@ -71,20 +71,21 @@ class BallBar:
 
 @dataclass(frozen=True)
 class Error:
-    """One error: measured minus calibrated `value`, or a range due to the scanner and the artefact only.
-
-    `quantity`: PF, PS, SD or F; `of`: what it was measured on; `placement`: name of the result. `budget`: of the
-    measured value, None for ranges. `dispersion`: for ranges, that of 95 % of the points. `strays`: share of the points
-    removed before.
-    """
+    """One error: measured minus calibrated value, or a range due to the scanner and the artefact only."""
 
     quantity: str
+    """PF, PS, SD or F."""
     placement: str
+    """Name of the result."""
     of: str
+    """What it was measured on."""
     value: float
     budget: Budget | None = None
+    """Of the measured value, None for ranges."""
     dispersion: float | None = None
+    """For ranges, that of 95 % of the points."""
     strays: float = 0.0
+    """Share of the points removed before."""
 
 
 @dataclass(frozen=True)

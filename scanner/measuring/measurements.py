@@ -110,21 +110,23 @@ class FitErrors:
 
 @dataclass(frozen=True)
 class SphereMeasurement:
-    """A sphere of nominally known diameter.
-
-    `diameter` and `centre` (3,) are fitted together, and `errors` are relative to that fit; `nominal_errors` to a fit
-    of the centre with the nominal diameter. `spread`: of centre and radius. `strays`: number of points in its image
-    that belong to something else. `image_px`: centre (x, y) and radius of its image.
-    """
+    """A sphere of nominally known diameter."""
 
     nominal_diameter: float
     diameter: float
+    """Fitted together with the centre."""
     centre: Floats
+    """Fitted together with the diameter, (3,)."""
     spread: Spread
+    """Of centre and radius."""
     errors: FitErrors
+    """Relative to the fit of centre and diameter."""
     nominal_errors: FitErrors
+    """Relative to a fit of the centre with the nominal diameter."""
     strays: int
+    """Number of points in its image that belong to something else."""
     image_px: tuple[float, float, float]
+    """Centre (x, y) and radius of its image."""
 
     @property
     def diameter_budget(self) -> Budget:

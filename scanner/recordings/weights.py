@@ -31,17 +31,18 @@ _LONG_MARGIN_S, _MARGIN_OF_SLOT = 0.02, 0.12
 
 @dataclass(frozen=True)
 class PictureWeights:
-    """A picture is the sum of frames `numbers` (n,) times `weights` (n, H); rows without any weight are lost.
-
-    `back` (n,): which of the frames belong to the backward pass. `noise` (H,): noise of the picture relative to that of
-    one frame. `alone`: the share of rows that use only frames in which this picture alone was lit.
-    """
+    """A picture as a weighted sum of frames; rows without any weight are lost."""
 
     numbers: Ints
+    """Of the frames, (n,)."""
     weights: Floats
+    """Of each frame in each row, (n, H)."""
     back: Bools
+    """Which of the frames belong to the backward pass, (n,)."""
     noise: Floats
+    """Of the picture relative to that of one frame, (H,)."""
     alone: float
+    """The share of rows that use only frames in which this picture alone was lit."""
 
 
 def picture_weights(samples: VideoSamples, programme: Programme, clocks: Clocks) -> list[PictureWeights]:

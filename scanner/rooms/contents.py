@@ -17,20 +17,21 @@ from scanner.results import Decoded
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """A capture of a room or of a thing, with its pose. `number`: of the capture among all, from 0. `cloud` is in the
-    camera's frame, `plane` (H, W) is the room's plane of a pixel, −1 for none.
-
-    `place`: X_room = rotation X_camera + translation. `sigma_deg`, `sigma` (3,): of its rotation about the room's axes
-    and of its translation, relative to the first station; NaN in undetermined directions.
-    """
+    """A capture of a room or of a thing, with its pose."""
 
     number: int
+    """Of the capture among all, from 0."""
     decoded: Decoded
     cloud: Cloud
+    """In the camera's frame."""
     plane: NDArray[np.int32]
+    """The room's plane of each pixel, −1 for none, (H, W)."""
     place: Pose
+    """X_room = rotation X_camera + translation."""
     sigma_deg: Floats
+    """Of its rotation about the room's axes, relative to the first station; NaN in undetermined directions."""
     sigma: Floats
+    """Of its translation, the same, (3,)."""
     residual_px: float
 
     @property
@@ -59,28 +60,30 @@ class OutlierStation:
 
 @dataclass(frozen=True, eq=False)
 class SolvedRoom:
-    """Everything in the room's frame, z up, and the unit of `calibration`; `estimate` is the original, in baselines.
-
-    `stations` are those of `group`, in its order; `names` are of all captures; `pairs` refer to them by number.
-    `uncertainty`: of the calibration, None if unknown. `floor`: number of its plane. `areas` (P,): visible area of each
-    plane, in squares of the unit. `upright`: X_room = rotation X_estimate + translation; then lengths are multiplied by
-    `factor`.
-    """
+    """Everything in the room's frame, z up, and the unit of `calibration`."""
 
     calibration: Calibration
     uncertainty: Uncertainty | None
+    """Of the calibration, None if unknown."""
     stations: tuple[Station, ...]
+    """Those of `group`, in its order."""
     planes: tuple[Plane, ...]
     estimate: RoomEstimate
+    """As it was made, in baselines."""
     upright: Pose
+    """X_room = rotation X_estimate + translation; then lengths are multiplied by `factor`."""
     factor: float
     group: Group
     pairs: tuple[Pair, ...]
+    """Pairs of captures, by number."""
     names: tuple[str, ...]
+    """Of all captures."""
     outlier_stations: tuple[OutlierStation, ...]
     findings: tuple[Finding, ...]
     floor: int | None
+    """Number of the floor's plane."""
     areas: Floats
+    """Visible area of each plane, in squares of the unit, (P,)."""
 
     @property
     def unit(self) -> str:
