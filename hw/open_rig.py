@@ -22,15 +22,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OpenedRig:
-    """A rig, and the ground truth of a simulated one in metres: its calibration, and its pose `place`, X_world =
-    rotation X_camera + translation. With a `thing`, the world's frame is the thing's. `others`: of the rig's others.
-    """
+    """A rig, and the ground truth of a simulated one in metres."""
 
     rig: Rig
     truth: Calibration | None
+    """Its calibration."""
     place: Pose | None = None
+    """Its pose: X_world = rotation X_camera + translation."""
     thing: "Solid | None" = None
+    """With one, the world's frame is the thing's."""
     others: tuple["OpenedRig", ...] = ()
+    """Of the rig's others."""
 
     @property
     def all(self) -> tuple["OpenedRig", ...]:

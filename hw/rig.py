@@ -55,16 +55,14 @@ class Projector(Protocol):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a camera can do; the kind of acquisition follows from it.
-
-    `streaming`: frames arrive continuously; otherwise each is triggered. `exposure`: it can be set while the camera
-    is open, can only be read, or is unknown. `clock`: the begin of an exposure is known, from time stamps or because
-    the trigger acts at once.
-    """
+    """What a camera can do; the kind of acquisition follows from it."""
 
     streaming: bool = False
+    """Frames arrive continuously; otherwise each is triggered."""
     exposure: Literal["settable", "readable", "unknown"] = "unknown"
+    """It can be set while the camera is open, can only be read, or is unknown."""
     clock: bool = False
+    """The begin of an exposure is known, from time stamps or because the trigger acts at once."""
 
 
 class Camera(Protocol):
@@ -106,17 +104,16 @@ class ExposureControl(Protocol):
 
 @dataclass(eq=False)
 class Rig:
-    """A projector and a camera, fixed relative to each other; `others` are of further cameras in its light.
-
-    `identity` names the devices, with their settings as read back, for the recording's metadata. `refresh_hz`: the
-    projector's refresh rate; exposures should be whole periods. None if that does not matter.
-    """
+    """A projector and a camera, fixed relative to each other."""
 
     projector: Projector
     camera: Camera
     identity: dict[str, str] = field(default_factory=dict)
+    """Names of the devices, with their settings as read back, for the recording's metadata."""
     refresh_hz: float | None = None
+    """The projector's refresh rate; exposures should be whole periods. None if that does not matter."""
     others: tuple["Rig", ...] = ()
+    """Rigs of further cameras in its light."""
 
     @property
     def all(self) -> tuple["Rig", ...]:

@@ -101,19 +101,18 @@ _SETTLED = 0.01  # relative change of a variance between rounds
 
 @dataclass(frozen=True)
 class Estimate:
-    """The fit of some views, with the noise of its residuals.
-
-    `corner_px`: for each view, the standard deviation of each coordinate of its corners. `noise`: of its matches.
-    `covariance` (SHARED, SHARED) of the common parameters.
-    """
+    """The fit of some views, with the noise of its residuals."""
 
     views: tuple[BoardView, ...]
     fit: BoardFit
     prior: Prior
     levels: BoardVariances
     corner_px: Floats
+    """For each view, the standard deviation of each coordinate of its corners."""
     noise: tuple[Noise, ...]
+    """Of the matches of each view."""
     covariance: Floats
+    """Of the common parameters, (SHARED, SHARED)."""
 
     @property
     def state(self) -> State:
@@ -141,16 +140,15 @@ def estimate(views: Sequence[BoardView], start: State, prior: Prior, levels: Boa
 
 @dataclass(frozen=True)
 class Prediction:
-    """A left out view, predicted by the others: its matches should be where its corners put it.
-
-    `error_px`: root mean square distance in the projector; `expected_px`: from the covariance and the noise; `moved`
-    (SHARED,): displacement of the estimate without it.
-    """
+    """A left out view, predicted by the others: its matches should be where its corners put it."""
 
     name: str
     error_px: float
+    """Root mean square distance in the projector."""
     expected_px: float
+    """From the covariance and the noise."""
     moved: Floats
+    """Displacement of the estimate without it, (SHARED,)."""
 
     @property
     def sigmas(self) -> float:

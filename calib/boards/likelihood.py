@@ -39,14 +39,16 @@ _BEND_SIGMA = (0.01, 0.01, 0.01, 0.003, 0.003, 0.003, 0.003)
 
 @dataclass(frozen=True)
 class BoardView:
-    """One pose of the board: its corners `points` (N, 2), in lengths from its middle, `corners_px` (N, 2) where the
-    camera saw them, and the `cells` of matches on it. `name` says in messages which it is.
-    """
+    """One pose of the board."""
 
     name: str
+    """Says in messages which it is."""
     points: Floats
+    """Its corners, in lengths from its middle, (N, 2)."""
     corners_px: Floats
+    """Where the camera saw them, (N, 2)."""
     cells: Cells
+    """Of the matches on it."""
 
     def corner_cells(self, sigma_px: float = 1.0) -> Cells:
         """Its corners as cells with errors of this size, whose pixels are the camera's."""

@@ -24,16 +24,18 @@ _LEAST_SHARE = 0.03  # of the rays that both devices see, on each face
 
 @dataclass(frozen=True)
 class NextView:
-    """A capture that would help. The rig moves around the corner by `right_deg` and `up_deg` (negative: left, down), to
-    `distance` times its present distance. The relative sigma of the camera's focal length becomes `sigma`. `step` (3,):
-    displacement of the camera in its present frame (right, down, forward), in baselines.
-    """
+    """A capture that would help."""
 
     right_deg: float
+    """By how much the rig moves around the corner to the right; negative: to the left."""
     up_deg: float
+    """The same upwards; negative: downwards."""
     distance: float
+    """Its distance then over its present one."""
     sigma: float
+    """What the relative sigma of the camera's focal length becomes."""
     step: Floats
+    """Displacement of the camera in its present frame (right, down, forward), in baselines, (3,)."""
 
     @property
     def words(self) -> str:

@@ -37,19 +37,20 @@ _NEGLIGIBLE = 0.02
 
 @dataclass(frozen=True)
 class SpatialCorrelation:
-    """Autocorrelation of residuals over an image, by square cells of `cell_px`.
-
-    `correlation`: Moran's I of the cells' means with their neighbours; `expected` ± `sigma`: its distribution for
-    independent residuals. `total_px`: root mean square of the residuals; `shared_px`: of the part that neighbouring
-    cells share.
-    """
+    """Autocorrelation of residuals over an image, by square cells."""
 
     cell_px: float
+    """Side of a cell."""
     correlation: float
+    """Moran's I of the cells' means with their neighbours."""
     expected: float
+    """Mean of its distribution for independent residuals."""
     sigma: float
+    """Standard deviation of that distribution."""
     total_px: float
+    """Root mean square of the residuals."""
     shared_px: float
+    """The same of the part that neighbouring cells share."""
 
     @property
     def significant(self) -> bool:

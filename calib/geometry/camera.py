@@ -35,17 +35,18 @@ class Size(NamedTuple):
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Intrinsic parameters of one device.
-
-    `focal_px` is (f_x, f_y), `principal_point_px` is (x_0, y_0), `distortion` is (k1, k2, p1, p2, k3) in normalised
-    coordinates, in OpenCV's order: x_d = x_n (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms.
-    """
+    """Intrinsic parameters of one device."""
 
     width: int
     height: int
     focal_px: tuple[float, float]
+    """(f_x, f_y)."""
     principal_point_px: tuple[float, float]
+    """(x_0, y_0)."""
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """(k1, k2, p1, p2, k3) in normalised coordinates, in OpenCV's order: x_d = x_n (1 + k1 r² + k2 r⁴ + k3 r⁶) +
+    tangential terms.
+    """
 
     def __post_init__(self) -> None:
         if not (self.width > 0 and self.height > 0):

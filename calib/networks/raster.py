@@ -60,16 +60,16 @@ def _cell_of(pixels: Floats, size: Size) -> int:
 
 @dataclass(frozen=True, eq=False)
 class SeenAt:
-    """Another device's `pixels` (h, w, 2) at a raster's centres, their derivatives `by_own` (h, w, 2, 2) by the
-    raster's pixels, and the `count` (h, w) of matches. NaN where neighbours are missing, or on another surface.
-
-    `noise_px`: of a match, in the other's pixels, by how far cells are off the mean of their neighbours.
-    """
+    """Pixels of another device at a raster's centres; NaN where neighbours are missing, or on another surface."""
 
     pixels: Floats
+    """(h, w, 2)."""
     by_own: Floats
+    """Their derivatives by the raster's pixels, (h, w, 2, 2)."""
     count: Ints
+    """Number of matches, (h, w)."""
     noise_px: float
+    """Of a match, in the other's pixels, by how far cells are off the mean of their neighbours."""
 
     @classmethod
     def of(cls, raster: ImageRaster, own: Floats, other: Floats) -> "SeenAt":

@@ -60,13 +60,14 @@ class PlaneHomography:
 
 @dataclass(frozen=True)
 class Faces:
-    """`matches`: labelled 0, 1, 2 on the corner's faces (0 the largest) and −1 elsewhere. `planes`: all planes found,
-    largest first. `plane` (N,): index of each match's plane, −1 for none.
-    """
+    """The faces of the corner among the planes of the scene."""
 
     matches: Matches
+    """Labelled 0, 1, 2 on the corner's faces (0 the largest) and −1 elsewhere."""
     planes: tuple[PlaneHomography, ...]
+    """All planes found, largest first."""
     plane: Ints
+    """Index of each match's plane, −1 for none, (N,)."""
 
 
 @singular_refused(RIG)

@@ -63,14 +63,16 @@ class Lens:
 
 @dataclass(frozen=True)
 class Parallax:
-    """Per match: `x` (N, 3) ideal homogeneous camera point, `value` (N,) its ρ, `per_px` (N,) change of ρ with one
-    projector pixel along the epipolar line, `across_px` (N,) distance from that line in projector pixels.
-    """
+    """Parallax of each match."""
 
     x: Floats
+    """Ideal homogeneous camera point, (N, 3)."""
     value: Floats
+    """Its ρ, (N,)."""
     per_px: Floats
+    """Change of ρ with one projector pixel along the epipolar line, (N,)."""
     across_px: Floats
+    """Distance from that line in projector pixels, (N,)."""
 
 
 @dataclass(frozen=True)

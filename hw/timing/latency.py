@@ -47,16 +47,16 @@ class _Arrival:
 
 @dataclass(frozen=True)
 class Latency:
-    """The latency from a swap to the light of its picture, in seconds, as the range over several flashes.
-
-    Light arrives no sooner than `soonest_s` after the swap's begin, and no later than `latest_s` after its end. Swaps
-    took up to `swapping_s`; the median time from trigger to frame is `cycle_s`.
-    """
+    """The latency from a swap to the light of its picture, in seconds, as the range over several flashes."""
 
     soonest_s: float
+    """Light arrives no sooner than this after the swap's begin."""
     latest_s: float
+    """Light arrives no later than this after the swap's end."""
     swapping_s: float
+    """Swaps took up to this."""
     cycle_s: float
+    """The median time from trigger to frame."""
 
 
 class LatencyCalibration:

@@ -12,20 +12,19 @@ from scanner.shown_text import shortened, shown
 
 @dataclass(frozen=True)
 class CaptureMetadata:
-    """How a capture was taken; unknown values are omitted.
-
-    `identity` names the devices and holds whatever else the recording states about itself. `exposure_us`: the frames'
-    exposures. `photos`: a camera at a second place takes the role of the projector. `truth` is known for simulated rigs
-    only, and is only displayed.
-    """
+    """How a capture was taken; unknown values are omitted."""
 
     camera_size: Size
     projector_size: Size
     patterns: tuple[Pattern, ...] = ()
     identity: Mapping[str, str] = field(default_factory=dict)
+    """Names of the devices, and whatever else the recording states about itself."""
     exposure_us: tuple[float, ...] = ()
+    """The frames' exposures."""
     photos: bool = False
+    """A camera at a second place takes the role of the projector."""
     truth: Calibration | None = None
+    """Known for simulated rigs only, and only displayed."""
 
     @property
     def pixels(self) -> str:

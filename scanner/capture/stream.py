@@ -14,18 +14,17 @@ from scanner.patterns import Pattern, ProjectorResponse, draw, level_groups, unp
 
 @dataclass(frozen=True)
 class Stream:
-    """Patterns and the frames that show them, one after the other; live, simulated or recorded looks the same.
-
-    `frames` can be walked through once. `metadata` holds further keys for the recording,
-    `account` those that are known only when the frames have been walked through.
-    """
+    """Patterns and the frames that show them, one after the other; live, simulated or recorded looks the same."""
 
     patterns: tuple[Pattern, ...]
     projector_size: Size
     camera_size: Size
     frames: Iterator[tuple[Pattern, Frame]]
+    """Can be walked through once."""
     metadata: Mapping[str, object] = field(default_factory=dict)
+    """Further keys for the recording."""
     account: Callable[[], Mapping[str, object]] = dict
+    """Those keys that are known only when the frames have been walked through."""
 
     def shown_as(self, patterns: Sequence[Pattern | None]) -> "Stream":
         """The same frames with other names for what they show, without those that have None."""

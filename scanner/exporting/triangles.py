@@ -39,15 +39,16 @@ def linear_light() -> Floats:
 
 @dataclass(frozen=True)
 class Mesh:
-    """`points` and `normals` (N, 3) in the camera's frame and `unit`, `colours` (N, 3) RGB, `triangles` (T, 3).
-
-    Triangles are counter-clockwise as seen by the camera.
-    """
+    """Triangles, counter-clockwise as seen by the camera."""
 
     points: Floats
+    """In the camera's frame and `unit`, (N, 3)."""
     normals: Floats
+    """(N, 3)."""
     colours: NDArray[np.uint8]
+    """RGB, (N, 3)."""
     triangles: Ints
+    """Numbers of their points, (T, 3)."""
     unit: str
 
 

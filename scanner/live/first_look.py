@@ -28,15 +28,15 @@ NO_LIGHT = FindingKind(
 
 @dataclass(frozen=True)
 class FirstLook:
-    """`lit` (H, W): pixels lit by the projector. Variance of a pixel at level I: `noise[0]` + `noise[1]` I.
-
-    `saturated`: the level of saturation. `response`: from drawn levels to observed ones, None if unknown.
-    """
+    """What is known of a rig before its live image. The variance of a pixel at level I is `noise[0]` + `noise[1]` I."""
 
     lit: Bools
+    """Pixels lit by the projector, (H, W)."""
     noise: tuple[float, float]
     saturated: float
+    """The level of saturation."""
     response: ProjectorResponse | None
+    """From drawn levels to observed ones, None if unknown."""
 
 
 def look(rig: Rig, config: Config) -> FirstLook:

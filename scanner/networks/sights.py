@@ -30,18 +30,16 @@ _LABEL_HEIGHT = 18
 
 @dataclass(frozen=True)
 class PairProgress:
-    """A camera in a projector's light, of which `done` of `total` frames are taken.
-
-    `share`: of the camera's pixels, those that are matched; None until the capture is decoded. `failure`: why there is
-    no capture, '' if there may be one.
-    """
+    """A camera in a projector's light, of which `done` of `total` frames are taken."""
 
     camera: str
     projector: str
     total: int = 0
     done: int = 0
     share: float | None = None
+    """Of the camera's pixels, those that are matched; None until the capture is decoded."""
     failure: str = ""
+    """Why there is no capture, '' if there may be one."""
 
     @classmethod
     def of(cls, pair: Pair, capture: Decoded) -> "PairProgress":

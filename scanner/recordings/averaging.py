@@ -38,15 +38,14 @@ _WELL_LIT = 98.0
 
 @dataclass(frozen=True)
 class Averaged:
-    """Light from 0 to 1, (pictures, H, W), upright or not; luma (H, W) of the `kept` frames.
-
-    `passes` (2, pictures, H / step, W / step): the parts from the forward and the backward pass, at every `step`-th
-    pixel.
-    """
+    """Averaged pictures, upright or not."""
 
     pictures: Light
+    """Light from 0 to 1, (pictures, H, W)."""
     kept: Mapping[int, Image]
+    """Luma (H, W) of the frames that were to be kept."""
     passes: Light
+    """The parts from the forward and the backward pass, at every `step`-th pixel, (2, pictures, H / step, W / step)."""
     step: int
 
 

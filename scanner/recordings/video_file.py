@@ -175,18 +175,18 @@ def _demuxer(path: Path, head: bytes) -> str:
 
 @dataclass(frozen=True)
 class VideoFile:
-    """A readable recording. `size`: as coded, before rotation by `quarter_turns` counterclockwise.
-
-    `codes`: of its luma. `expected_frames`: as stated in the file, 0 if not. `shown_s`: duration of the video that was
-    filmed.
-    """
+    """A readable recording."""
 
     path: Path
     size: Size
+    """As coded, before rotation by `quarter_turns` counterclockwise."""
     quarter_turns: int
     codes: LumaCodes
+    """Of its luma."""
     expected_frames: int
+    """As stated in the file, 0 if not."""
     shown_s: float
+    """Duration of the video that was filmed."""
 
     def frames(self) -> Iterator[tuple[float, Image]]:
         """Yield time in seconds and luma (H, W), 8 or 16 bit, of each frame in order of time; of very many frames, of

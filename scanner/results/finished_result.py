@@ -51,19 +51,20 @@ def find_matches(points: Floats, matches: Matches, calibration: Calibration) -> 
 
 @dataclass(frozen=True)
 class FinishedScan:
-    """A finished scan, as read from its files. Row i of every array, and match i, belong to one point.
-
-    `points` (N, 3) in the camera's frame and the calibration's unit, `normals` (N, 3), `colours` (N, 3) RGB; `pixel`
-    (N, 2): column and row of the camera's image, no two alike; `matched` is how many matches the scan had.
-    """
+    """A finished scan, as read from its files. Row i of every array, and match i, belong to one point."""
 
     calibration: Calibration
     matches: Matches
     matched: int
+    """How many matches the scan had."""
     points: Floats
+    """In the camera's frame and the calibration's unit, (N, 3)."""
     normals: Floats
+    """(N, 3)."""
     colours: NDArray[np.uint8]
+    """RGB, (N, 3)."""
     pixel: Ints
+    """Column and row of the camera's image, no two alike, (N, 2)."""
 
     def __len__(self) -> int:
         return len(self.points)

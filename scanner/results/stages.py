@@ -25,14 +25,14 @@ from scanner.patterns import Axis
 
 @dataclass(frozen=True)
 class GivenMatches:
-    """Matches of an earlier decoding: `photograph` is the lit scene, None without a picture.
-
-    `smooth_px`, `only_axis`: as of `Decoding`. Other decoders are assumed to have the smooth errors of this one.
-    """
+    """Matches of an earlier decoding. Other decoders are assumed to have the smooth errors of this one."""
 
     photograph: Image | None = None
+    """The lit scene, None without a picture."""
     smooth_px: float = SMOOTH_PX
+    """As of `Decoding`."""
     only_axis: Axis | None = None
+    """As of `Decoding`."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +50,18 @@ AS_SHOWN = Panel(np.eye(3))
 
 @dataclass(frozen=True)
 class Decoded:
-    """A capture as matches, with face labels once these are known; `origin` is their source.
-
-    `plane` (N,): the plane of each match, as of `Faces`, if the faces were found and not given. `name`: of the capture
-    in messages. `panel`: the meaning of the projector's pixels; None until it is known.
-    """
+    """A capture as matches, with face labels once these are known."""
 
     metadata: CaptureMetadata
     matches: Matches
     origin: Decoding | GivenMatches
+    """Source of the matches."""
     name: str = ""
+    """Of the capture in messages."""
     plane: Ints | None = None
+    """The plane of each match, as of `Faces`, if the faces were found and not given, (N,)."""
     panel: Panel | None = None
+    """The meaning of the projector's pixels; None until it is known."""
 
     @property
     def decoding(self) -> Decoding | None:

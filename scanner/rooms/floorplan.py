@@ -35,17 +35,19 @@ _STYLE = (
 
 @dataclass(frozen=True, eq=False)
 class WallLine:
-    """Upright plane number `plane` as seen from above: from `start` to `end` (2,), the room to the left of it.
-
-    `corners`: at start and end the corner's number, None where the wall's end was not seen. `length`: between corners.
-    """
+    """An upright plane as seen from above, the room to the left of it."""
 
     plane: int
+    """Its number."""
     start: Floats
+    """(2,)."""
     end: Floats
+    """(2,)."""
     is_wall: bool
     corners: tuple[int | None, int | None] = (None, None)
+    """At start and end the corner's number, None where the wall's end was not seen."""
     length: Measured | None = None
+    """Between corners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,18 +61,18 @@ class PlanCorner:
 
 @dataclass(frozen=True, eq=False)
 class FloorPlan:
-    """In the room's frame and `unit`. `height`: from floor to ceiling, None where one of them was not seen.
-
-    `gaps`: walls that face each other, and how far they are apart. `cameras` (S, 2) and `ahead` (S, 2): stations, and
-    where they look.
-    """
+    """A floor plan in the room's frame and `unit`."""
 
     lines: tuple[WallLine, ...]
     corners: tuple[PlanCorner, ...]
     gaps: tuple[tuple[int, int, Measured], ...]
+    """Walls that face each other, and how far they are apart."""
     height: Measured | None
+    """From floor to ceiling, None where one of them was not seen."""
     cameras: Floats
+    """Places of the stations, (S, 2)."""
     ahead: Floats
+    """Where they look, (S, 2)."""
     unit: str
 
 

@@ -26,15 +26,14 @@ _MARGIN = 0.8  # margin of the board around the points, in squares
 
 @dataclass(frozen=True)
 class Target:
-    """`kind` is one of `KINDS`, `columns` and `rows` are counted as said there.
-
-    `square`: side of a chessboard's square, of an AprilGrid's tag, or distance between neighbouring dots, in `UNIT`.
-    """
+    """A printed target."""
 
     kind: str
+    """One of `KINDS`, where it is said what `columns` and `rows` count."""
     columns: int
     rows: int
     square: float
+    """Side of a chessboard's square, of an AprilGrid's tag, or distance between neighbouring dots, in `UNIT`."""
 
     def __str__(self) -> str:
         return f"{self.kind}:{self.columns}x{self.rows}"

@@ -115,16 +115,18 @@ def viewpoint(cloud: ViewedCloud, aspect: float = USUAL_ASPECT, upper_share: flo
 
 @dataclass(frozen=True)
 class WindowView:
-    """What a window shows: `width` by `height` pixels, `fov_rad` from its top to its bottom.
-
-    From `position` (3,); rows of `axes` (3, 3) point to its right, downwards and ahead.
-    """
+    """What a window shows."""
 
     position: Floats
+    """From where, (3,)."""
     axes: Floats
+    """Rows point to its right, downwards and ahead, (3, 3)."""
     fov_rad: float
+    """From its top to its bottom."""
     width: int
+    """In pixels."""
     height: int
+    """In pixels."""
 
     @property
     def density(self) -> int:
