@@ -150,7 +150,7 @@ the results: the largest errors count.
 class ViewCommand(Command):
     """Look at a result in 3-D, in the browser."""
 
-    result: Path = argument("RESULT", _RESULT, existing=_NO_RESULT)
+    result: Path = argument("RESULT", f"{_RESULT}, or of a comparison of surfaces", existing=_NO_RESULT)
     address: Address = Address.part()
 
 
