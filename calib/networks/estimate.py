@@ -284,8 +284,7 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
         heights = surface.solved(fit.state).amplitudes
         waves[plane] = np.sqrt(np.mean(np.square(np.concatenate(surface.modes) @ heights)))
     of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
-    hidden, of_warps = weighed(weights.problem, fit, grown.names)
-    covariance = weights.problem.covariance(fit) + of_warps
+    hidden, covariance = weighed(weights.problem, fit, grown.names, {camera for camera, _ in pairs})
     covariance += covariance_of_shifts(weights.problem, fit, levels, of_shifts)
     on_planes = {sight.capture for sight in sights}
     noise = {

@@ -32,7 +32,7 @@ from calib.networks.observations import NetworkProblem, PlaneObservation
 from calib.networks.prior import WARP_SIGMA
 from calib.networks.weights import Weights
 from calib.numerics import CUBIC, Bools, Floats
-from calib.refinement import PER_DEVICE, alternative
+from calib.refinement import PER_DEVICE, alternative, averaged
 
 _SAME = np.array([1e-5, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])  # of log f, x_0, y_0, k1, k2, p1, p2, k3
 _FAR_LIKELIER = 10.0  # of the criterion: odds of 150 to 1
@@ -42,8 +42,8 @@ _AS_LIKELY = 10.0  # of χ²: odds of 150 to 1
 _CERTAIN = 20.0  # odds
 _STRAINED = 3.0  # times the noise, across the lines on which walls that are not flat move cells
 # Beforehand, of a picture's aspect, as in `calib.refinement.alternatives`, its skew, and its trapezoids: projectors,
-# even by themselves, make upright ones.
-_PROBABILITY = 0.01, 0.01, 0.1, 0.3
+# even by themselves, make upright ones. No camera does.
+_PROBABILITIES = {True: (0.01, 0.01, 0.01, 0.01), False: (0.01, 0.01, 0.1, 0.3)}  # by whether it is a camera's
 _ROUNDS = 2
 _FOR_NOISE, _ENOUGH = 1e-3, 1.0  # tolerance of fits, the former of their cost
 
@@ -189,23 +189,22 @@ def find_warps(
     return Warps(likely), none, usual
 
 
-def weighed(problem: NetworkProblem, fit: Fit[Network], names: Sequence[str]) -> tuple[Warps, Floats]:
-    """Warps of one parameter of one picture, by their evidence: those that are certain, and what all of them that the
-    captures do not exclude add to the covariance (size, size).
+def weighed(
+    problem: NetworkProblem, fit: Fit[Network], names: Sequence[str], cameras: Collection[str]
+) -> tuple[Warps, Floats]:
+    """Warps of one parameter of one picture, by their evidence: those that are certain; and the covariance (size, size)
+    with all of them that the captures do not exclude.
     """
     alternatives = []
     for number, name in enumerate(names):
-        start = fit.state.device_columns(number).start + WARP.start
-        for k, (probability, spread) in enumerate(zip(_PROBABILITY, WARP_SIGMA.tolist(), strict=True)):
+        start, probabilities = fit.state.device_columns(number).start + WARP.start, _PROBABILITIES[name in cameras]
+        for k, (probability, spread) in enumerate(zip(probabilities, WARP_SIGMA.tolist(), strict=True)):
             alternatives.append(
                 (name, k, alternative(fit.information, fit.gradient, problem.free, start + k, probability, spread))
             )
     alternatives.sort(key=lambda alternative: -alternative[2].odds)
     total = 1 + sum(alternative.odds for _, _, alternative in alternatives)
-    covariance = sum(
-        (alternative.added(alternative.odds / total) for _, _, alternative in alternatives),
-        np.zeros_like(fit.information),
-    )
+    covariance = averaged(problem.covariance(fit), [alternative for _, _, alternative in alternatives])
     if total < _CERTAIN or is_strained(problem.parts, fit):
         return Warps(), covariance
     likely: dict[str, Warp] = {}

@@ -9,14 +9,18 @@ are off square, with focal lengths that are wrong by a tenth and sigmas of a hun
 aspect, is weighed against the first.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from calib.estimation import ROBUST_SIGMAS
 from calib.numerics import Bools, Floats, covariance_of, huber_weights
 from calib.refinement.likelihood import CornerFit, CornerProblem
 
+_CENTRAL, _NEARLY_ALL = 0.6827, 0.9545  # one and two standard deviations of a normal distribution
+_BISECTIONS = 50
 _MOST = 100.0  # logarithm of a likelihood ratio: beyond, it is certain
 # Pictures that are scaled in one direction, and remain so unnoticed: one in a hundred, by about 2 %.
 _PROBABILITY, _SPREAD = 0.01, 0.02
@@ -37,6 +41,45 @@ class LargerModel:
         """What this model, of a `probability`, adds to the covariance (size, size) around the smaller's solution."""
         mean_square = self.value**2 + self.sigma**2
         return probability * mean_square * np.outer(self.response, self.response)
+
+
+def averaged(covariance: Floats, models: Sequence[LargerModel]) -> Floats:
+    """The covariance (size, size) over a model, whose own is given, and larger ones by their odds over it.
+
+    Correlations are those of the mixture. A standard deviation is the half-width of the central 68 % around the
+    model's solution, or half that of 95 % where that is more, as along a corner's valley: of a normal distribution it
+    is its sigma, and what is less probable than one in twenty does not widen it.
+    """
+    shares = np.array([1.0, *(model.odds for model in models)])
+    shares /= shares.sum()
+    mixed = covariance + np.sum([model.added(share) for model, share in zip(models, shares[1:], strict=True)], axis=0)
+    own = np.sqrt(covariance.diagonal())
+    means = np.stack([np.zeros_like(own), *(model.value * model.response for model in models)])
+    sigmas = np.stack([own, *(np.hypot(own, model.sigma * model.response) for model in models)])
+    unknown = own > 0
+    width = np.zeros_like(own)
+    width[unknown] = np.maximum(
+        _half_width(shares, means[:, unknown], sigmas[:, unknown], _CENTRAL),
+        _half_width(shares, means[:, unknown], sigmas[:, unknown], _NEARLY_ALL) / 2,
+    )
+    scale = np.divide(width, np.sqrt(mixed.diagonal()), out=np.zeros_like(own), where=unknown)
+    narrowed: Floats = scale[:, None] * mixed * scale
+    return narrowed
+
+
+def _half_width(shares: Floats, means: Floats, sigmas: Floats, probability: float) -> Floats:
+    """Half-widths (Q,) of the intervals around 0 that hold a `probability` of mixtures of K normal distributions.
+
+    `shares` (K,); `means` and `sigmas` (K, Q).
+    """
+    low, high = np.zeros(means.shape[1]), np.max(np.abs(means) + 8 * sigmas, axis=0)
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        inside = shares @ (
+            scipy.special.ndtr((middle - means) / sigmas) - scipy.special.ndtr((-middle - means) / sigmas)
+        )
+        low, high = np.where(inside < probability, middle, low), np.where(inside < probability, high, middle)
+    return high
 
 
 def alternative(

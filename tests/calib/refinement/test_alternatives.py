@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from calib.refinement import alternative
+from calib.refinement import alternative, averaged
+from calib.refinement.alternatives import LargerModel
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate_jointly
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_captures
@@ -45,6 +46,37 @@ def test_odds_and_moments_of_a_linear_model_are_exact(seed: int, slope: float) -
     # A slope of b moves the mean by −b times the mean of t.
     of_mean = found.added(0.5)[0, 0]
     np.testing.assert_allclose(of_mean, 0.5 * square / evidence * design[:, 1].mean() ** 2, rtol=1e-6)
+
+
+@given(st.integers(0, 2**32 - 1), st.lists(st.floats(0.0, 1.0), max_size=4))
+def test_averaged_sigmas_hold_what_their_intervals_promise(seed: int, odds: list[float]) -> None:
+    """Against draws from the mixture."""
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(3, 3))
+    models = [LargerModel(float(rng.normal()), float(rng.uniform(0.1, 2)), each, rng.normal(size=3)) for each in odds]
+    covariance = averaged(root @ root.T, models)
+    sigma = np.sqrt(covariance.diagonal())
+
+    shares = np.array([1.0, *odds]) / (1 + sum(odds))
+    drawn = rng.choice(len(shares), 40_000, p=shares)
+    values = rng.normal(size=(len(drawn), 3)) @ root.T
+    for number, model in enumerate(models, start=1):
+        chosen = drawn == number
+        parameter = rng.normal(model.value, model.sigma, np.count_nonzero(chosen))
+        values[chosen] += parameter[:, None] * model.response
+    within_one, within_two = (np.mean(np.abs(values) < times * sigma, axis=0) for times in (1, 2))
+    assert (within_one > 0.67).all()
+    assert (within_two > 0.95).all()
+    assert (np.minimum(within_one - 0.6827, within_two - 0.9545) < 0.01).all()
+    assert np.linalg.eigvalsh(covariance).min() > -1e-9 * covariance.trace()
+
+
+def test_an_improbable_model_does_not_widen_sigmas() -> None:
+    unlikely = LargerModel(0.0, 100.0, 0.02, np.ones(2))
+    sigma = np.sqrt(averaged(np.eye(2), [unlikely]).diagonal())
+    assert (sigma > 1.0).all()
+    assert (sigma < 1.2).all()
+    assert np.sqrt((np.eye(2) + unlikely.added(0.02)).diagonal()).min() > 10
 
 
 SIZES = (PAPER_CAMERA.width, PAPER_CAMERA.height), (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height)
