@@ -267,9 +267,10 @@ def allowed_deg(refinement: Refinement) -> float:
     return round(float(np.degrees(refinement.prior.sigma[SHARED])), 3)
 
 
-def far_from_square(refinement: Refinement, knowledge: Knowledge) -> bool:
-    """Whether a corner is farther from square than the prior of its angles expects; False for an exact corner."""
-    return bool(np.linalg.norm(_skewest(refinement)) > _TENSION_SIGMAS * knowledge.squareness_deg > 0)
+def far_from_square(refinement: Refinement) -> bool:
+    """Whether a corner is farther from square than the solution's prior expects; False for an exact corner."""
+    expected_deg = float(np.degrees(refinement.prior.sigma[SHARED]))
+    return bool(np.linalg.norm(_skewest(refinement)) > _TENSION_SIGMAS * expected_deg > 0)
 
 
 def _given_centre(knowledge: Knowledge) -> str:

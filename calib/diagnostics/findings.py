@@ -106,7 +106,7 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> Iterator[Fin
         f"{'; '.join(map(named_angles, off))}.",
         data=angles,
     )
-    if far_from_square(refinement, knowledge):
+    if far_from_square(refinement):
         yield Finding(
             FAR_FROM_SQUARE,
             Severity.NOTE,

@@ -116,6 +116,14 @@ class Knowledge:
         return replace(self, squareness_deg=squareness_deg, squarenesses_deg=())
 
     @property
+    def of_decentred_lenses(self) -> "Knowledge | None":
+        """The same of lenses from the most decentred populations; None if the populations of both are known."""
+        if self.rig is not None or not any(lens.decenterings for lens in self.lenses):
+            return None
+        camera, projector = self.lenses
+        return replace(self, lenses=(camera.most_decentred, projector.most_decentred))
+
+    @property
     def words(self) -> Wording:
         """What the devices are called in messages."""
         return PHOTOS if self.one_camera else RIG

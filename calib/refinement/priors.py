@@ -64,6 +64,14 @@ class LensPrior:
         """Whether the lens may have a first radial term."""
         return self.sigma[0] > 0 or self.mean[0] != 0
 
+    @property
+    def most_decentred(self) -> "LensPrior":
+        """A copy for the widest of its populations, if it has any."""
+        if not self.decenterings:
+            return self
+        widest = max(sigma for sigma, _ in self.decenterings)
+        return replace(self, sigma=(*self.sigma[:2], widest, widest, self.sigma[4]))
+
     def with_sigmas(
         self, decentering: float | None = None, k3: float | None = None, radial: float | None = None
     ) -> "LensPrior":

@@ -100,10 +100,16 @@ def refine(
         # The sweep keeps only the best solution at each focal; the other one is the corner turned inside out.
         starts += twins(thinned[0], families[0], starts[0], knowledge)
     fits = [oriented(thinned, fit) for fit in explore(thinned, starts, knowledge)]
+    decentred: list[CornerFit] = []
+    known = knowledge.of_decentred_lenses
+    if known is not None and len(captures) == 1 and knowledge.principal_point_sigma_px > 0:
+        # One view hardly tells decentred lenses from a shifted principal point: some minima have such lenses alone.
+        starts = minima(sweep_one(thinned[0], families[0], focal_px, known))
+        decentred = [oriented(thinned, fit) for fit in explore(thinned, starts, known)] if starts else []
     sameness = None
     if same and len(captures) > 1:
         captures, fits, sameness = tie(captures, thinned, fits, knowledge)
-    return settle(captures, fits, knowledge, sameness=sameness, further=further)
+    return settle(captures, fits, knowledge, decentred=decentred, sameness=sameness, further=further)
 
 
 def thin(cells: Cells) -> Cells:
@@ -116,18 +122,23 @@ def settle(
     fits: Sequence[CornerFit],
     knowledge: Knowledge,
     *,
+    decentred: Sequence[CornerFit] = (),
     sameness: Sameness | None = None,
     further: Further | None = None,
 ) -> Refinement | None:
     """Return the solution with its uncertainty, given different minima (best first) of some or all of the cells.
 
-    None if no minimum remains with all cells.
+    `decentred`: minima for the most decentred lenses. None if no minimum remains with all cells.
     """
     # The noise is measured without the prior from other data: a contradiction to it must not count as noise.
     unassuming = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG, rig=None).prior(fits[0].state)
     noise = _measured(captures, fits[0], unassuming)
     usual = _problem(captures, knowledge.prior(fits[0].state), noise)
-    weighed = _best_first([weigh(usual, fit.state) for fit in fits])
+    starts = [(usual, fit) for fit in fits]
+    if knowledge.of_decentred_lenses is not None:
+        odd = usual.under(knowledge.of_decentred_lenses.prior(fits[0].state))
+        starts += [(odd, fit) for fit in decentred]
+    weighed = _best_first([weigh(problem, fit.state) for problem, fit in starts])
     if not weighed:
         return None
     loose = minimise(_with_any_angles(weighed[0]), weighed[0].fit.state, tolerance=_ROUGH)

@@ -10,6 +10,7 @@ One capture measures the difference of camera and projector in p1 and p2, say, b
 tells the scale, and the scale how far the mean may be off.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -21,6 +22,7 @@ from calib.refinement.parameters import State
 from calib.refinement.profile_minimiser import minimise
 
 _ROUNDS = 2  # of estimating scales at a fit, and fitting with them
+_LESS_EVIDENCE = 2.0  # in −2 log of it
 _SETTLED = 0.1  # relative change of all scales that is worth no further fit
 
 
@@ -42,17 +44,46 @@ def weigh(problem: CornerProblem, start: State) -> WeighedFit:
     if not prior.populations or not np.isfinite(fit.cost):
         return WeighedFit(fit, problem, fit.cost)
     columns = _columns(prior)
+    for scales in dict.fromkeys(tuple(population.sigmas) for population in prior.populations):
+        fit, prior = _likeliest_scale(problem.under(prior), fit, scales)
+    likeliest = WeighedFit(fit, problem.under(prior), _evidence(fit, prior))
     for _ in range(_ROUNDS):
         sigma = mix_scales(fit, prior)
         settled = bool(np.all(np.abs(sigma / prior.sigma[columns] - 1) < _SETTLED))
         prior = prior.with_sigmas(columns, sigma).without_tails(columns)
+        fit = minimise(problem.under(prior), fit.state)
         if settled:
             break
-        fit = minimise(problem.under(prior), fit.state)
+    mixed = WeighedFit(fit, problem.under(prior), _evidence(fit, prior))
+    # What is extrapolated from a fit may lead to another minimum, of less evidence.
+    return likeliest if mixed.cost > likeliest.cost + _LESS_EVIDENCE else mixed
+
+
+def _likeliest_scale(problem: CornerProblem, fit: CornerFit, scales: Sequence[float]) -> tuple[CornerFit, Prior]:
+    """The fit, and its prior, with that of the scales (K,) that has the most evidence for all populations of these.
+
+    Fits go from scale to scale, from `fit` up and down: minima move farther than evidence can be extrapolated.
+    """
+    populations = [population for population in problem.prior.populations if tuple(population.sigmas) == scales]
+    columns = np.concatenate([population.columns for population in populations])
+    usual = int(np.argmin(np.abs(np.log(np.array(scales) / problem.prior.sigma[columns[0]]))))
+    trials: list[tuple[float, CornerFit, Prior]] = []
+    for path in (range(usual, len(scales)), range(usual - 1, -1, -1)):
+        state = fit.state
+        for k in path:
+            prior = problem.prior.with_sigmas(columns, scales[k]).without_tails(columns)
+            trial = minimise(problem.under(prior), state)
+            common = sum(float(np.log(population.shares[k])) for population in populations)
+            trials.append((_evidence(trial, prior) - 2 * common, trial, prior))
+            state = trial.state
+    _, best, prior = min(trials, key=lambda trial: trial[0])
+    return best, prior
+
+
+def _evidence(fit: CornerFit, prior: Prior) -> float:
+    """−2 log of the evidence of the columns of populations, at the best of all others."""
     matrix, _ = _seen(fit, prior)
-    return WeighedFit(
-        fit, problem.under(prior), fit.cost + float(np.linalg.slogdet(_scaled(matrix, prior.sigma[columns]))[1])
-    )
+    return fit.cost + float(np.linalg.slogdet(_scaled(matrix, prior.sigma[_columns(prior)]))[1])
 
 
 def _columns(prior: Prior) -> Ints:
