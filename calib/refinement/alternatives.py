@@ -72,7 +72,8 @@ def _half_width(shares: Floats, means: Floats, sigmas: Floats, probability: floa
 
     `shares` (K,); `means` and `sigmas` (K, Q).
     """
-    low, high = np.zeros(means.shape[1]), np.max(np.abs(means) + 8 * sigmas, axis=0)
+    low: Floats = np.zeros(means.shape[1])
+    high: Floats = np.max(np.abs(means) + 8 * sigmas, axis=0)
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         inside = shares @ (
