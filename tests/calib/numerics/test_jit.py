@@ -14,7 +14,7 @@ from numba.core import config
 from calib.numerics import Floats, in_pieces
 from calib.numerics.jit import compiled, when_compiling
 from calib.numerics.machine_code import _sources
-from calib.registration.projection import add_patches
+from calib.refinement.reprojection_jacobians import reproject
 from tests.support.places import ROOT
 
 SOURCES = sorted(path for package in ("calib", "hw", "scanner") for path in (ROOT / package).rglob("*.py"))
@@ -79,9 +79,9 @@ def test_compiled_functions_use_their_own_file_and_compiled_functions_of_others(
 
 
 def test_machine_code_follows_the_compiled_functions_that_it_calls() -> None:
-    files = [path.name for path in _sources(add_patches.py_func)]  # type: ignore[attr-defined]
-    assert files[0] == "projection.py"
-    assert {"plane_step.py"} <= set(files)
+    files = [path.name for path in _sources(reproject.py_func)]  # type: ignore[attr-defined]
+    assert files[0] == "reprojection_jacobians.py"
+    assert {"radial_distortion.py"} <= set(files)
 
 
 def test_an_imported_constant_is_found() -> None:
