@@ -13,7 +13,7 @@ ALLOWED = {
     ("benchmarks/cramer_rao.py", "calib.networks.prior"): "the bound is that of the model's own prior",
     (
         "tests/calib/numerics/test_jit.py",
-        "calib.registration.projection",
+        "calib.refinement.reprojection_jacobians",
     ): "a compiled loop that calls others",
     (
         "tests/scanner/decoding/test_sample_analysis.py",

@@ -5,10 +5,13 @@ LAS and GLB are in metres by their specifications, 3MF and STEP name their unit,
 their headers. Points that are no finite numbers are left out.
 """
 
+import os
 import re
+import sys
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -166,9 +169,25 @@ def _step(path: Path, _start: bytes) -> StoredSurface:
         import cascadio
     with tempfile.TemporaryDirectory() as folder:
         model = Path(folder) / "model.obj"  # in which parts are at their places, in millimetres
-        if cascadio.step_to_obj(str(path), str(model), _OFF_FACE_MM, _BETWEEN_TRIANGLES, use_colors=False):
+        with _silent():
+            failed = cascadio.step_to_obj(str(path), str(model), _OFF_FACE_MM, _BETWEEN_TRIANGLES, use_colors=False)
+        if failed:
             raise InputError(f"{path}: expected a model as STEP, found a damaged file, or one without a shape")
         return _triangles_of(path, _open3d().io.read_triangle_mesh(str(model)), "mm")
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Drop what libraries write to the standard output by themselves: OpenCASCADE tells errors there, in colours."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        with Path(os.devnull).open("wb") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def _triangles_of(path: Path, mesh: Any, unit: str | None) -> StoredSurface:

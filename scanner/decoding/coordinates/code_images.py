@@ -95,7 +95,7 @@ class CodeImages:
         order = [index for index in self._first.values() if index in frames]
         # Fringes that were equalised are no whole grey levels any more.
         kinds = {frame.dtype for _, frame in self.equalised((slice(0, 1), slice(0, 1)), order)}
-        stack = np.empty((len(order), *self.threshold[part].shape), np.result_type(*kinds))
+        stack = np.empty((len(order), *self.threshold[part].shape), np.result_type(np.uint8, *kinds))
         for place, (_, frame) in enumerate(self.equalised(part, order)):
             stack[place] = frame
         return stack, {index: place for place, index in enumerate(order)}, (0, 0)
