@@ -331,12 +331,12 @@ def on_picture_scale(refinement: Refinement) -> list[Finding]:
         Finding(
             PICTURE_SCALED,
             Severity.NOTE,
-            f"The projector's picture may be scaled in one direction (by {100 * scale.aspect:+.1f} ± "
+            f"The projector's picture may be scaled in one direction (by {100 * scale.value:+.1f} ± "
             f"{100 * scale.sigma:.1f} % along x, with a probability of {100 * scale.probability:.0f} %; the sigmas "
             "allow for it).",
             "Show it in the projector's own resolution, without keystone correction, zoom or overscan.",
             {
-                "aspect_percent": 100 * scale.aspect,
+                "aspect_percent": 100 * scale.value,
                 "sigma_percent": 100 * scale.sigma,
                 "probability_share": scale.probability,
             },

@@ -1,6 +1,6 @@
 """Maximum-likelihood estimation: cells of matches, the model and its Jacobian, focal sweep, profile, lens terms."""
 
-from calib.refinement.alternatives import PictureScale, alternative, averaged
+from calib.refinement.alternatives import alternative, averaged
 from calib.refinement.distortion_from_planes import Straightened, straighten
 from calib.refinement.focal_sweep import at_focal, family_of, minima, photo_family, sweep_one, twins
 from calib.refinement.further_planes import depths, with_further_planes

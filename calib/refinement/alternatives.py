@@ -10,7 +10,7 @@ aspect, is weighed against the first.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -28,14 +28,21 @@ _PROBABILITY, _SPREAD = 0.01, 0.02
 
 @dataclass(frozen=True, eq=False)
 class LargerModel:
-    """The further parameter's `value`, less that in the smaller model, with its `sigma`. `odds` of the larger model
-    over the smaller one. `response` (size,): change of the solution for a parameter of 1.
-    """
+    """A model with one parameter more, seen from the solution of the smaller one."""
 
     value: float
+    """The parameter, less what it is in the smaller model."""
     sigma: float
+    """Its standard deviation."""
     odds: float
+    """Of this model over the smaller one."""
     response: Floats
+    """(size,): change of the solution for a parameter of 1."""
+
+    @property
+    def probability(self) -> float:
+        """If there is no third model."""
+        return self.odds / (1 + self.odds)
 
     def added(self, probability: float) -> Floats:
         """What this model, of a `probability`, adds to the covariance (size, size) around the smaller's solution."""
@@ -100,26 +107,8 @@ def alternative(
     return LargerModel(value, sigma, odds, np.where(free, covariance[column] / variance, 0.0))
 
 
-@dataclass(frozen=True)
-class PictureScale:
-    """`aspect`: width over height of the projector's pixels, less 1, with its `sigma`, if they are not square.
-    `probability` that they are not. `response` (size,): change of the solution for an aspect of 1.
-    """
-
-    aspect: float
-    sigma: float
-    probability: float
-    response: Floats
-
-    @property
-    def covariance(self) -> Floats:
-        """What the other model adds to the covariance (size, size) around the solution with square pixels."""
-        mean_square = self.aspect**2 + self.sigma**2
-        return self.probability * mean_square * np.outer(self.response, self.response)
-
-
-def picture_scale(problem: CornerProblem, fit: CornerFit) -> PictureScale:
-    """Weigh pixels that are not square, from a problem's fit."""
+def picture_scale(problem: CornerProblem, fit: CornerFit) -> LargerModel:
+    """Weigh pixels of the projector that are not square, by their width over their height, less 1."""
     size = fit.state.size
     information, gradient = np.zeros((size + 1, size + 1)), np.zeros(size + 1)
     information[:size, :size], gradient[:size] = fit.information, fit.gradient
@@ -134,7 +123,5 @@ def picture_scale(problem: CornerProblem, fit: CornerFit) -> PictureScale:
         columns = view.columns(fit.state)
         np.add.at(information[size], columns, weighted @ jacobian[:, 0])
         information[columns, size] = information[size, columns]
-    wider_model = alternative(information, gradient, np.append(problem.free, False), size, _PROBABILITY, _SPREAD)
-    return PictureScale(
-        wider_model.value, wider_model.sigma, wider_model.odds / (1 + wider_model.odds), wider_model.response[:size]
-    )
+    wider = alternative(information, gradient, np.append(problem.free, False), size, _PROBABILITY, _SPREAD)
+    return replace(wider, response=wider.response[:size])

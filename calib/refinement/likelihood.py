@@ -202,7 +202,7 @@ class Knowledge:
 
 
 @dataclass(frozen=True, eq=False)
-class CornerView:
+class CornerMatches:
     """Cells of the corner's faces, and of further planes, in one capture."""
 
     cells: Cells
@@ -226,7 +226,7 @@ CornerFit = Fit[State]
 
 
 @dataclass(frozen=True, eq=False)
-class CornerProblem(Problem[State, CornerView]):
+class CornerProblem(Problem[State, CornerMatches]):
     """What captures and a prior tell of a rig and the corners that it sees.
 
     The cost is infinite if more than a few points of a capture fall behind a device.
@@ -238,7 +238,7 @@ class CornerProblem(Problem[State, CornerView]):
     @classmethod
     def of(cls, captures: Sequence[Cells], prior: Prior, variances: Sequence[Floats]) -> Self:
         """Of captures' cells with their `variances` (M,), estimating the columns that the prior leaves free."""
-        views = tuple(CornerView(cells, i) for i, cells in enumerate(captures))
+        views = tuple(CornerMatches(cells, i) for i, cells in enumerate(captures))
         return cls(views, tuple(variances), prior, prior.free, behind=np.inf, damping=_DAMPING)
 
     @property

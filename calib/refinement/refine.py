@@ -14,7 +14,7 @@ import numpy as np
 from calib.estimation import Cells, Noise, noise_of
 from calib.geometry import Corner
 from calib.numerics import Bools, Floats, distinct
-from calib.refinement.alternatives import PictureScale, picture_scale
+from calib.refinement.alternatives import LargerModel, picture_scale
 from calib.refinement.focal_sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
 from calib.refinement.further_planes import mean_square, oblique_planes, unexplained, without
 from calib.refinement.likelihood import CornerFit, CornerProblem, Knowledge, Prior
@@ -58,8 +58,8 @@ class Refinement:
     """Whether the captures show one corner."""
     apart: CornerFit | None = None
     """The nearby fit of these captures alone, if there is a prior on the rig from other data."""
-    scale: PictureScale | None = None
-    """Of the projector's picture; None if other data tell its pixels' shape."""
+    scale: LargerModel | None = None
+    """A projector's picture that is scaled along x; None if other data tell its pixels' shape."""
 
     @property
     def captures(self) -> tuple[Cells, ...]:
@@ -164,7 +164,7 @@ def settle(
     scale = None
     if knowledge.rig is None and not knowledge.one_camera:
         scale = picture_scale(problem, best)
-        covariance += scale.covariance
+        covariance += scale.added(scale.probability)
     apart = None
     if knowledge.rig is not None:
         of_any_rig = replace(knowledge, rig=None).prior(best.state)
