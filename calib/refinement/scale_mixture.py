@@ -11,14 +11,14 @@ tells the scale, and the scale how far the mean may be off.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from calib.numerics import Floats, Ints, inverse_of
 from calib.refinement.likelihood import CornerFit, CornerProblem, Prior
-from calib.refinement.parameters import State
+from calib.refinement.parameters import TANGENTIAL_TERMS, State
 from calib.refinement.profile_minimiser import minimise
 
 _ROUNDS = 2  # of estimating scales at a fit, and fitting with them
@@ -34,8 +34,8 @@ class WeighedFit:
     problem: CornerProblem
     """The fit's; its prior has the scales that the data make likely."""
     cost: float
-    """−2 log of the evidence of the columns of populations, at the best of all others, under the fit's prior. Without
-    populations the fit's cost."""
+    """−2 log of the evidence of the columns of populations, at the best of all others, under the fit's prior, and of
+    how common its scales are. Without populations the fit's cost."""
 
 
 def weigh(problem: CornerProblem, start: State) -> WeighedFit:
@@ -44,7 +44,8 @@ def weigh(problem: CornerProblem, start: State) -> WeighedFit:
     if not prior.populations or not np.isfinite(fit.cost):
         return WeighedFit(fit, problem, fit.cost)
     columns = _columns(prior)
-    for scales in dict.fromkeys(tuple(population.sigmas) for population in prior.populations):
+    lenses = [population for population in prior.populations if np.isin(population.columns, TANGENTIAL_TERMS).all()]
+    for scales in dict.fromkeys(tuple(lens.sigmas) for lens in lenses):
         fit, prior = _likeliest_scale(problem.under(prior), fit, scales)
     likeliest = WeighedFit(fit, problem.under(prior), _evidence(fit, prior))
     for _ in range(_ROUNDS):
@@ -55,8 +56,19 @@ def weigh(problem: CornerProblem, start: State) -> WeighedFit:
         if settled:
             break
     mixed = WeighedFit(fit, problem.under(prior), _evidence(fit, prior))
-    # What is extrapolated from a fit may lead to another minimum, of less evidence.
-    return likeliest if mixed.cost > likeliest.cost + _LESS_EVIDENCE else mixed
+    # What is extrapolated from a fit under a wide prior may lead to another minimum, of less evidence.
+    is_narrower = bool(np.all(prior.sigma[columns] <= likeliest.problem.prior.sigma[columns]))
+    chosen = likeliest if is_narrower and mixed.cost > likeliest.cost + _LESS_EVIDENCE else mixed
+    return replace(chosen, cost=chosen.cost + _rarity(chosen.problem.prior))
+
+
+def _rarity(prior: Prior) -> float:
+    """−2 log of how common the scales of a prior are in its populations."""
+    common = [
+        np.interp(np.log(prior.sigma[population.columns[0]]), np.log(population.sigmas), population.shares)
+        for population in prior.populations
+    ]
+    return float(-2 * np.sum(np.log(common)))
 
 
 def _likeliest_scale(problem: CornerProblem, fit: CornerFit, scales: Sequence[float]) -> tuple[CornerFit, Prior]:
