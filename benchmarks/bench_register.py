@@ -299,13 +299,18 @@ def with_normals(points: SurfacePoints, eye: Floats) -> SurfacePoints:
     return SurfacePoints(points.points, normals)
 
 
-def _part(seed: int, points: int) -> Case:
-    rng = np.random.default_rng([seed, 5])
-    mesh, one = lump(seed), towards(rng)
-    aside = np.cross(one, towards(rng))
+def two_sides(rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Unit vectors (3,) from which a thing is seen twice, 10 to 95° apart."""
+    first = towards(rng)
+    aside = np.cross(first, towards(rng))
     aside /= np.linalg.norm(aside)
     angle = np.radians(rng.uniform(10, 95))
-    other = np.cos(angle) * one + np.sin(angle) * aside
+    return first, np.cos(angle) * first + np.sin(angle) * aside
+
+
+def _part(seed: int, points: int) -> Case:
+    rng = np.random.default_rng([seed, 5])
+    mesh, (one, other) = lump(seed), two_sides(rng)
     first = seen(mesh, one, points, rng)
     second = seen(mesh, other, int(points * rng.uniform(0.3, 1.0)), rng)
     if seed % 2:  # files with normals, or without
@@ -316,11 +321,7 @@ def _part(seed: int, points: int) -> Case:
 
 def _rough(seed: int, points: int) -> Case:
     rng = np.random.default_rng([seed, 12])
-    mesh, one = lump(seed), towards(rng)
-    aside = np.cross(one, towards(rng))
-    aside /= np.linalg.norm(aside)
-    angle = np.radians(rng.uniform(10, 95))
-    other = np.cos(angle) * one + np.sin(angle) * aside
+    mesh, (one, other) = lump(seed), two_sides(rng)
     noises = 1e-5 * 10 ** rng.uniform(0, 1, 2)
     first = with_holes(seen(mesh, one, points, rng, noises[0]), rng)
     second = with_holes(seen(mesh, other, int(points * rng.uniform(0.1, 1.0)), rng, noises[1]), rng)

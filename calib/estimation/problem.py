@@ -243,6 +243,13 @@ class Problem(Generic[AnyLayout, PartT]):
         """The covariance (size, size) by a fit's curvature; zero where a column is held."""
         return covariance_of(fit.information, self.free)
 
+    def response(self, fit: Quadratic, pull: Floats) -> Floats:
+        """To first order, the changes (size, K) of a fit if half its gradient is less by pulls (size, K)."""
+        free = np.flatnonzero(self.free)
+        moved = np.zeros_like(pull)
+        moved[free] = np.linalg.solve(fit.information[np.ix_(free, free)], pull[free])
+        return moved
+
     def _misfit(self, part: Part[AnyLayout], variance: Floats, layout: AnyLayout) -> tuple[Term, Floats]:
         """What a part adds to the cost, and its residuals (M, 2)."""
         predicted, jacobian, depths = part.predict(layout)

@@ -71,9 +71,9 @@ def covariance_of_shifts(
                 apart.append(
                     pull_of_shifts(fit.state, patch, variance, smooth_px * smooth_fields(patch.cells.camera_px))
                 )
-        pull = np.concatenate([together, *apart], axis=1)[columns]
+        pull = np.concatenate([together, *apart], axis=1)
         if pull.shape[1]:
-            moved = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull)
+            moved = problem.response(fit, pull)[columns]
             covariance[np.ix_(columns, columns)] += levels.stations[station].repeats * moved @ moved.T
     return covariance
 
@@ -136,7 +136,6 @@ def covariance_of_waves(
 
     With it their root mean square heights (P,) in baselines; 0 for planes that may be flat.
     """
-    columns = np.flatnonzero(problem.free)
     covariance, heights = np.zeros_like(fit.information), np.zeros(len(fit.state.planes))
     for plane in np.flatnonzero(levels.planes > 1).tolist():
         on_plane = [
@@ -146,8 +145,7 @@ def covariance_of_waves(
         ]
         modes = modes_over([waves.patch.points(fit.state) for waves in on_plane], fit.state.planes[plane].normal)
         pull = np.sum([waves.pull(of_patch) for waves, of_patch in zip(on_plane, modes, strict=True)], axis=0)
-        moved = np.zeros_like(pull)
-        moved[columns] = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull[columns])
+        moved = problem.response(fit, pull)
         left, whole = (
             sum(waves.energy_left(of_patch, after) for waves, of_patch in zip(on_plane, modes, strict=True))
             for after in (moved, np.zeros_like(moved))

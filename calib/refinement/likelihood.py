@@ -116,10 +116,8 @@ class Knowledge:
         return replace(self, squareness_deg=squareness_deg, squarenesses_deg=())
 
     @property
-    def of_decentred_lenses(self) -> "Knowledge | None":
-        """The same of lenses from the most decentred populations; None if the populations of both are known."""
-        if self.rig is not None or not any(lens.decenterings for lens in self.lenses):
-            return None
+    def of_decentred_lenses(self) -> "Knowledge":
+        """The same of lenses from the most decentred populations, as far as their populations are not known."""
         camera, projector = self.lenses
         return replace(self, lenses=(camera.most_decentred, projector.most_decentred))
 

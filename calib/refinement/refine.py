@@ -102,7 +102,8 @@ def refine(
     fits = [oriented(thinned, fit) for fit in explore(thinned, starts, knowledge)]
     decentred: list[CornerFit] = []
     known = knowledge.of_decentred_lenses
-    if known is not None and len(captures) == 1 and knowledge.principal_point_sigma_px > 0:
+    may_be_decentred = knowledge.rig is None and known.lenses != knowledge.lenses
+    if may_be_decentred and len(captures) == 1 and knowledge.principal_point_sigma_px > 0:
         # One view hardly tells decentred lenses from a shifted principal point: some minima have such lenses alone.
         starts = minima(sweep_one(thinned[0], families[0], focal_px, known))
         decentred = [oriented(thinned, fit) for fit in explore(thinned, starts, known)] if starts else []
@@ -135,7 +136,7 @@ def settle(
     noise = _measured(captures, fits[0], unassuming)
     usual = _problem(captures, knowledge.prior(fits[0].state), noise)
     starts = [(usual, fit) for fit in fits]
-    if knowledge.of_decentred_lenses is not None:
+    if decentred:
         odd = usual.under(knowledge.of_decentred_lenses.prior(fits[0].state))
         starts += [(odd, fit) for fit in decentred]
     weighed = _best_first([weigh(problem, fit.state) for problem, fit in starts])

@@ -43,10 +43,7 @@ def _responses(refinement: Refinement, fields: Floats, capture: int) -> Floats:
     """Return the changes (size, K) of the solution if the cells of a capture are shifted by fields (M, 2, K)."""
     problem, fit = refinement.problem, refinement.fit
     pull = pull_of_shifts(fit.state, problem.parts[capture], problem.variances[capture], fields)
-    free = np.flatnonzero(problem.free)
-    responses = np.zeros_like(pull)
-    responses[free] = np.linalg.solve(fit.information[np.ix_(free, free)], pull[free])
-    return responses
+    return problem.response(fit, pull)
 
 
 def percent_of_intrinsics(state: State, step: Floats) -> float:
