@@ -42,13 +42,13 @@ Off = tuple[tuple[str, str, Callable[..., object]], ...]
 SWITCHED_OFF: dict[str, Off] = {
     "all corrections": (),
     "without straightening of gamma": (("coordinates.decoder_calibration", "straightening", _nothing),),
-    "without shading": (("coordinates.coordinate_maps", "footprint_of", lambda *_: Footprint.round(0.0)),),
+    "without shading": (("coordinates.coordinate_map", "footprint_of", lambda *_: Footprint.round(0.0)),),
     "without comparing periods": (("coordinates.axis_decoder", "correct_systematic", _nothing),),
     "without equalising": (
         ("sample_analysis", "swings_of", lambda *_: {}),
         ("coordinates.code_images", "gains_of_pairs", lambda *_: {}),
     ),
-    "without taking motion back": (("motion.device_motion", "CoordinateShift.subtract_from", _nothing),),
+    "without taking motion back": (("motion.device_motion", "CoordinateShift.subtracted_from", lambda _, px: px),),
     "with wrong bits left": (("coordinates.axis_decoder", "resolve_contradictory_codes", _nothing),),
 }
 

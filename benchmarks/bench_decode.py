@@ -48,7 +48,7 @@ _STAGES = {
     "noise": ("measure_noise",),
     "checks, tolerances": ("check_frames", "check_codes", "check_fringes", "check_maps"),
     "footprint": ("_footprint",),
-    "maps of all pixels": ("coordinate_maps",),
+    "maps of all pixels": ("decode_tiles",),
     "patches": ("small_patches",),
     "matches": ("_pixel_matches",),
 }
@@ -169,7 +169,7 @@ def stages_of_end(decoder: Decoder) -> dict[str, float]:
     total = timed(lambda: profile.runcall(decoder.finish))
     seconds = {entry.code.co_name: entry.totaltime for entry in profile.getstats() if not isinstance(entry.code, str)}
     # The footprint is measured while the maps are made.
-    seconds["coordinate_maps"] -= seconds["_footprint"]
+    seconds["decode_tiles"] -= seconds["_footprint"]
     shares = {stage: sum(seconds[name] for name in names) / total for stage, names in _STAGES.items()}
     return shares | {"the rest": 1 - sum(shares.values())}
 

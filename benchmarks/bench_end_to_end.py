@@ -54,7 +54,7 @@ TO_CLOUD, TOTAL = "from the last frame to the cloud", "from the last frame to ev
 LIMITS = {TO_CLOUD: 12.0, TOTAL: 20.0}
 WRITING = "Writing the result"
 ALONE = {
-    "coordinates of all pixels": "scanner.decoding.decoder.coordinate_maps",
+    "coordinates of all pixels": "scanner.decoding.decoder.decode_tiles",
     "faces": "scanner.reconstruction.calibrate.find_faces",
     "cells": "calib.self_calibration.rig.into_cells",
     "paper's objective": "calib.self_calibration.rig.family_of",

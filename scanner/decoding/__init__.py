@@ -1,14 +1,10 @@
 """Decode structured-light sequences: sequence plan, folding of frames, fringe orders, masks, checks."""
 
 from calib.numerics import Floats32
-from scanner.decoding.coordinates.coordinate_maps import Maps
-from scanner.decoding.corrections.corrected_frames import (
-    FrameCorrections,
-    corrections_of,
-    describe_copies,
-    require_decoding_memory,
-)
+from scanner.decoding.coordinates.coordinate_map import CoordinateMap
+from scanner.decoding.corrections.corrected_frames import FrameCorrections, estimate_corrections
 from scanner.decoding.decoder import Decoder, Decoding
+from scanner.decoding.frame_stack import FrameCollector, describe_copies, require_decoding_memory
 from scanner.decoding.fringes.single_fringe import UNCHECKED
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.image_quality import MUCH_FLICKER, TOO_DARK, FinestStripes, first_harmonics

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import MANY_PIXELS, Bools, Floats, Floats32, Image, Ints, at_random
-from scanner.decoding.coordinates import CodeImages, Maps
+from scanner.decoding.coordinates import CodeImages, CoordinateMap
 from scanner.decoding.light import STRAY_PART, NoiseModel, Sample
 from scanner.decoding.mask_reasons import MaskReason, Reasons, count_reasons
 from scanner.decoding.sequence_plan import AxisPlan
@@ -46,7 +46,7 @@ class FinestStripes:
         )
 
 
-def finest_stripes(code_images: CodeImages, sample: Sample, maps: Maps) -> FinestStripes | None:
+def finest_stripes(code_images: CodeImages, sample: Sample, maps: CoordinateMap) -> FinestStripes | None:
     """Measure the stripes at kept pixels, of the sample if there are codes only; None if an axis has no suitable
     stripes.
     """
@@ -70,7 +70,7 @@ def finest_stripes(code_images: CodeImages, sample: Sample, maps: Maps) -> Fines
 
 
 def _where_kept(
-    pixels: NDArray[np.int64], of_x: Floats32, of_y: Floats32, periods: tuple[float, float], maps: Maps
+    pixels: NDArray[np.int64], of_x: Floats32, of_y: Floats32, periods: tuple[float, float], maps: CoordinateMap
 ) -> FinestStripes | None:
     """Select pixels (P,) that are kept and whose contrasts (P,) are known; unknown contrast is 0."""
     projector_px = maps.projector_px.reshape(-1, 2)[pixels]

@@ -24,7 +24,7 @@ import numpy as np
 from calib.finding import Datum, Finding, Severity
 from calib.geometry import Matches
 from calib.numerics import MANY_PIXELS, Bools, Floats, Floats32, Image, Ints, at_random, chosen_ones, lines_of
-from scanner.decoding.coordinates import AxisDecoder, CodeImages, Maps, UnwrappedFringes, agreeing
+from scanner.decoding.coordinates import AxisDecoder, CodeImages, CoordinateMap, UnwrappedFringes, agreeing
 from scanner.decoding.fringes import disagreements
 from scanner.decoding.light import FRAMES_CONTRADICT, MOST_BROKEN, anomaly, suspected
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, Reasons, count_reasons
@@ -121,7 +121,7 @@ class MirroredError(InputError):
     """The map from camera to projector is mirrored."""
 
 
-def check_maps(plan: SequencePlan, maps: Maps, kept: Bools) -> None:
+def check_maps(plan: SequencePlan, maps: CoordinateMap, kept: Bools) -> None:
     """Raise InputError if most of what is lit is inconsistent, MirroredError if the map is mirrored.
 
     `kept` (H, W): pixels that remain after all masks.
@@ -151,7 +151,7 @@ def _check_share(plan: SequencePlan, axis: AxisPlan, counts: Ints, kept: int) ->
             )
 
 
-def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | None:
+def _mirrored_axis(plan: SequencePlan, maps: CoordinateMap, kept: Bools) -> AxisPlan | None:
     """Return the axis that runs backwards, if the map from camera to projector is mirrored at most pixels."""
     reach = max(_reach(axis, kept.shape) for axis in plan.axes)
     if 2 * reach >= min(kept.shape):
@@ -200,26 +200,28 @@ def annotate_errors(anomalies: Sequence[Finding]) -> Iterator[None]:
     except InputError as error:
         if not anomalies:
             raise
-        raise _inconsistent(anomalies, f"and {error}") from error
+        further = [anomaly.message for anomaly in anomalies[1:]]
+        raise FramesError(_description(anomalies[:1]), "; ".join([*further, f"and {error}"])) from error
 
 
 def assess_anomalies(
     anomalies: Sequence[Finding], reasons: Reasons, matches: Matches, *, one_axis: bool = False
-) -> Finding:
-    """Return one warning about anomalies that do no harm, from the `reasons` (H, W) of all pixels.
+) -> Finding | None:
+    """Return one warning about anomalies that do no harm, from the `reasons` (H, W) of all pixels; None without any.
 
     `one_axis`: whether matches were placed on the lines of an epipolar geometry, which therefore cannot test them.
 
     Raises InputError if the anomalies do harm.
     """
+    if not anomalies:
+        return None
     counts = count_reasons(reasons, (MaskReason.KEPT, *BROKEN))
     broken = int(sum(counts[reason] for reason in BROKEN))
     share = broken / max(1, broken + int(counts[MaskReason.KEPT]))
     if share > MOST_BROKEN:
-        raise _inconsistent(
-            anomalies,
-            f"and {share:.0%} of the lit pixels are inconsistent in themselves or with their surface: did something "
-            "move in most of the picture, or were frames exchanged?",
+        raise InputError(
+            f"{share:.0%} of the lit pixels are inconsistent in themselves or with their surface: did something move "
+            "in most of the picture, or were frames exchanged?"
         )
     if len(matches) < FEWEST_PIXELS:
         return _harmless(anomalies, "Too few pixels have a match to assess the effect.")
@@ -231,10 +233,9 @@ def assess_anomalies(
         )
     distance, outliers = _epipolar(matches)
     if outliers > _MOST_OUTLIERS:
-        raise _inconsistent(
-            anomalies,
-            f"and {outliers:.0%} of the matches are more than {EPIPOLAR_PX:g} projector pixels from the epipolar "
-            "geometry of the others",
+        raise InputError(
+            f"{outliers:.0%} of the matches are more than {EPIPOLAR_PX:g} projector pixels from the epipolar geometry "
+            "of the others"
         )
     return _harmless(
         anomalies,
@@ -249,11 +250,6 @@ def _harmless(anomalies: Sequence[Finding], effect: str, data: Mapping[str, Datu
     frames = tuple(sorted(suspected(anomalies)))
     message = f"{_description(anomalies)}. {effect}"
     return Finding(FRAMES_CONTRADICT, Severity.WARNING, message, data={"frames": frames, **(data or {})})
-
-
-def _inconsistent(anomalies: Sequence[Finding], effect: str) -> FramesError:
-    further = [anomaly.message for anomaly in anomalies[1:]]
-    return FramesError(_description(anomalies[:1]), "; ".join([*further, effect]))
 
 
 def _description(anomalies: Sequence[Finding]) -> str:
@@ -291,24 +287,24 @@ def from_epipolar_lines(matches: Matches, matrix: Floats) -> Floats:
     return distance / (np.hypot(lines[:, 0], lines[:, 1]) + 1e-12)
 
 
-def leave_out_stray_light(code_images: CodeImages, maps: Maps) -> None:
-    """Mask, in place, pixels without fringes whose contrast is too low for reliable codes."""
+def mask_stray_light(code_images: CodeImages, maps: CoordinateMap) -> CoordinateMap:
+    """Return the map with those pixels without fringes masked whose contrast is too low for reliable codes."""
     plan = code_images.plan
     contrasts = [code_words.contrast for code_words in code_images.codes if code_words.contrast is not None]
     if plan.fringes or plan.only_axis is not None or not contrasts:
-        return
+        return maps
     contrast: Image = np.min(contrasts, axis=0)
-    kept = maps.reason == np.uint8(MaskReason.KEPT)
+    kept = maps.masked_as(MaskReason.KEPT)
     # Pixels with all their bits have the variance of a cell.
     partial = kept & (maps.variance > np.float32(1.01 * sum(axis.cell**2 for axis in plan.axes) / 24))
     whole = kept & ~partial
     if np.count_nonzero(whole) < _FEWEST:
-        return
+        return maps
     # From all pixels: the brightest may lie in a plane, which leaves the geometry undetermined.
     matrix = epipolar_matrix(_matches(_some(whole), maps))
     if matrix is None:
-        return
-    usual = 0.0
+        return maps
+    usual, unreliable = 0.0, np.zeros_like(kept)
     for group in (whole, partial):
         row, column = places = _some(group)
         if len(row) < _FEWEST:
@@ -318,7 +314,8 @@ def leave_out_stray_light(code_images: CodeImages, maps: Maps) -> None:
         if group is whole:
             usual = float(np.mean(is_outlier[levels >= np.median(levels)]))
         faintest = _faintest(levels, is_outlier, usual)
-        np.copyto(maps.reason, np.uint8(MaskReason.UNDECIDED), where=group & (contrast < faintest))
+        unreliable |= group & (contrast < faintest)
+    return maps.masked(unreliable, MaskReason.UNDECIDED)
 
 
 def _faintest(contrast: Floats32, is_outlier: Bools, usual: float) -> float:
@@ -338,7 +335,7 @@ def _some(chosen: Bools) -> tuple[np.ndarray, np.ndarray]:
     return row, column
 
 
-def _matches(places: tuple[np.ndarray, np.ndarray], maps: Maps) -> Matches:
+def _matches(places: tuple[np.ndarray, np.ndarray], maps: CoordinateMap) -> Matches:
     row, column = places
     camera_px: Floats = np.stack([column, row], axis=1).astype(np.float64)
     return Matches(camera_px, maps.projector_px[row, column].astype(np.float64))

@@ -5,21 +5,19 @@ stripe plane determine the point: they cross on the pixel's epipolar line. No re
 calibration.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Matches, cross_epipolar_lines
 from calib.numerics import STRIP_ROWS, Bools, Floats, Floats32, Image, compiled, in_slices
 from scanner.decoding.codes.gray_code import CellMatches, average_cells
 from scanner.decoding.coordinates.axis_decoder import EDGE_PX, mask_outside
-from scanner.decoding.coordinates.coordinate_maps import Maps, small_patches
+from scanner.decoding.coordinates.coordinate_map import CoordinateMap, small_patches
 from scanner.decoding.map_checks import check_maps
-from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.mask_reasons import MaskReason, Reasons
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.patterns import Axis
 
@@ -54,14 +52,17 @@ class OneAxis:
     def _axis(self) -> int:
         return 0 if self.measured.axis == "x" else 1
 
-    def complete(self, maps: Maps) -> None:
-        """Fill in the other coordinate, and update variances and reasons; in place.
+    def complete(self, maps: CoordinateMap) -> CoordinateMap:
+        """Return the map with the other coordinate, and with variances and reasons that follow from it.
 
         The variance becomes that along the epipolar line, which determines the uncertainty of a point.
         """
+        whole = replace(
+            maps, projector_px=maps.projector_px.copy(), variance=maps.variance.copy(), reason=maps.reason.copy()
+        )
 
         def fill(rows: slice) -> None:
-            reason, values, variance = maps.reason[rows], maps.projector_px[rows], maps.variance[rows]
+            reason, values, variance = whole.reason[rows], whole.projector_px[rows], whole.variance[rows]
             row, column = np.nonzero(reason == np.uint8(MaskReason.KEPT))
             camera_px = np.stack([column, row + rows.start], axis=1).astype(np.float64)
             known_px = values[row, column, self._axis].astype(np.float64)
@@ -75,8 +76,9 @@ class OneAxis:
             variance[row, column] /= np.maximum(crossings.sine, _LEAST_SINE) ** 2
 
         in_slices(maps.reason.shape[0], STRIP_ROWS, fill)
+        return whole
 
-    def average_stripes(self, kept: Bools, maps: Maps, brightness: Image) -> CellMatches:
+    def average_stripes(self, kept: Bools, maps: CoordinateMap, brightness: Image) -> CellMatches:
         """Average the pixels as `average_cells` does, with stripes cut into square cells.
 
         They are cut along the coordinate that was filled in; it is computed again at the centre of each cell's pixels.
@@ -100,72 +102,74 @@ def one_axis(plan: SequencePlan, calibration: Calibration | None) -> OneAxis | N
     return OneAxis(plan.only_axis, plan.y if plan.only_axis is plan.x else plan.x, calibration)
 
 
-def match_kept(
-    plan: SequencePlan, maps: Maps, white: Image, one_axis: OneAxis | None, cell_px: Floats32 | None
-) -> tuple[Matches, NDArray[np.uint8]]:
-    """Return the matches, and for all pixels (H, W) the mask reason. Raises InputError; overwrites the maps.
+def collect_matches(
+    plan: SequencePlan, maps: CoordinateMap, cells_px: Floats32 | None, white: Image, completion: OneAxis | None
+) -> tuple[Matches, Reasons]:
+    """Return the matches of the pixels that remain, and for all pixels (H, W) the mask reason. Raises InputError.
 
-    `white`: (H, W) grey. `cell_px`: (H, W, 2) the centre of each pixel's cell, for one match per cell of the codes;
-    None if each pixel has its own coordinate.
+    `cells_px`: (H, W, 2) the centre of each pixel's cell, for one match per cell of the codes; None if each pixel has
+    its own coordinate. `white`: (H, W) grey.
     """
-    reasons = maps.reason
     # Interpolation between blurred edges, or a motion that was taken back, may carry coordinates beyond the border.
+    maps = replace(maps, reason=maps.reason.copy())
     for number, axis in enumerate(plan.axes):
-        mask_outside(axis, maps.projector_px.reshape(-1, 2)[:, number], reasons.reshape(-1))
-    if one_axis:
+        mask_outside(axis, maps.projector_px.reshape(-1, 2)[:, number], maps.reason.reshape(-1))
+    if completion:
         # Before the calibration masks pixels, which would be its error rather than the frames'.
-        check_maps(plan, maps, reasons == np.uint8(MaskReason.KEPT))
-        one_axis.complete(maps)
-    kept = reasons == np.uint8(MaskReason.KEPT)
-    if cell_px is None:
-        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
+        check_maps(plan, maps, maps.masked_as(MaskReason.KEPT))
+        maps = completion.complete(maps)
+    kept = maps.masked_as(MaskReason.KEPT)
+    if cells_px is None:
+        maps = maps.masked(small_patches(kept), MaskReason.ISOLATED)
+        matches = _pixel_matches(maps)
     else:
-        if one_axis:
-            cells = one_axis.average_stripes(kept, maps, white)
+        if completion:
+            cells = completion.average_stripes(kept, maps, white)
         else:
-            cells = average_cells(kept, cell_px, maps.projector_px, maps.variance, white)
-        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=cells.rejected)
-    kept = reasons == np.uint8(MaskReason.KEPT)
-    if not one_axis:
-        check_maps(plan, maps, kept)
-    if cell_px is None:
-        return _pixel_matches(kept, maps), reasons
-    return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
+            cells = average_cells(kept, cells_px, maps.projector_px, maps.variance, white)
+        maps = maps.masked(cells.rejected, MaskReason.ISOLATED)
+        matches = Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance))
+    if not completion:
+        check_maps(plan, maps, maps.masked_as(MaskReason.KEPT))
+    return matches, maps.reason
 
 
-def _pixel_matches(kept: Bools, maps: Maps) -> Matches:
-    """Return the matches of `kept` pixels (H, W), row by row, in the memory of the maps.
+def _pixel_matches(maps: CoordinateMap) -> Matches:
+    """Return the matches of the kept pixels, row by row.
 
     Single precision is exact for camera pixels, and is the precision of the maps.
     """
-    count = int(np.count_nonzero(kept))
-    camera_px, projector_px = np.empty((count, 2), np.float32), maps.projector_px.reshape(-1, 2)
-    sigma_px = maps.variance.reshape(-1)
-    with ThreadPoolExecutor(1) as aside:
-        noted = aside.submit(_note_places, kept, camera_px)
-        _gather(kept.reshape(-1), projector_px, sigma_px)
-        noted.result()
-    return Matches(cast(Floats, camera_px), cast(Floats, projector_px[:count]), sigma_px=cast(Floats, sigma_px[:count]))
+    count = int(np.count_nonzero(maps.reason == 0))
+    camera_px, projector_px = np.empty((2, count, 2), np.float32)
+    sigma_px = np.empty(count, np.float32)
+    first = np.append(0, np.cumsum(np.count_nonzero(maps.reason == 0, axis=1)))
+
+    def gather(rows: slice) -> None:
+        own = slice(first[rows.start], first[rows.stop])
+        part = maps.reason[rows], maps.projector_px[rows], maps.variance[rows]
+        _gather(*part, rows.start, camera_px[own], projector_px[own], sigma_px[own])
+
+    in_slices(len(maps.reason), STRIP_ROWS, gather)
+    return Matches(cast(Floats, camera_px), cast(Floats, projector_px), sigma_px=cast(Floats, sigma_px))
 
 
 @compiled
-def _note_places(kept: Bools, camera_px: Floats32) -> None:
-    """Write the columns and rows of the kept pixels."""
-    height, width = kept.shape
+def _gather(
+    reason: Reasons,
+    px: Floats32,
+    variance: Floats32,
+    first_row: int,
+    camera_px: Floats32,
+    projector_px: Floats32,
+    sigma_px: Floats32,
+) -> None:
+    """Write the matches of the kept pixels in some rows of the image, from their first row on."""
+    height, width = reason.shape
     match = 0
     for row in range(height):
         for column in range(width):
-            if kept[row, column]:
-                camera_px[match, 0], camera_px[match, 1] = column, row
+            if reason[row, column] == 0:
+                camera_px[match, 0], camera_px[match, 1] = column, first_row + row
+                projector_px[match, 0], projector_px[match, 1] = px[row, column, 0], px[row, column, 1]
+                sigma_px[match] = np.sqrt(variance[row, column])
                 match += 1
-
-
-@compiled
-def _gather(kept: Bools, projector_px: Floats32, variance: Floats32) -> None:
-    """Move the data of the kept pixels (P, …) to the front, with the variance replaced by its square root."""
-    match = 0
-    for pixel in range(len(kept)):
-        if kept[pixel]:
-            projector_px[match, 0], projector_px[match, 1] = projector_px[pixel, 0], projector_px[pixel, 1]
-            variance[match] = np.sqrt(variance[pixel])
-            match += 1

@@ -19,13 +19,14 @@ from scanner.decoding.coordinates.decoder_calibration import (
     resolve_bits,
 )
 from scanner.decoding.corrections.gains import outlier_groups, swings_of
+from scanner.decoding.fringes.single_fringe import Unchecked
 from scanner.decoding.light.ambient_light_change import AmbientLightChange
 from scanner.decoding.light.brightness import Gains, LitRows, flicker_of
 from scanner.decoding.light.exposures import lit_by, log_mosaic, saturation_level
 from scanner.decoding.light.frame_checks import agree, check_frames, is_explained_by_swap
 from scanner.decoding.light.photometric_constraints import suspected
 from scanner.decoding.light.samples import NoiseModel, Sample, Samples, measure_noise
-from scanner.decoding.map_checks import check_fringes
+from scanner.decoding.map_checks import annotate_errors, check_fringes
 from scanner.decoding.motion import (
     CodeShift,
     InconsistentPixels,
@@ -56,23 +57,26 @@ RAW_COLOURS = FindingKind(
 
 @dataclass(frozen=True)
 class Observations:
-    """Properties of the capture that do not depend on the pattern code: noise, light and motion.
-
-    `levels`: the sample's grey levels as taken, (frames, P). `flicker`: as in `Decoding`. `measuring_motion`: the
-    device motion, measured in the background. `findings`: for the operator. `phase_jump`: finds, on request, the
-    two frames between which fringes jumped. `inconsistent`: where an object moved, if the frames agree elsewhere; None
-    otherwise.
-    """
+    """Properties of the capture that do not depend on the pattern code: noise, light and motion."""
 
     levels: Image
+    """(frames, P): the sample's grey levels as taken."""
     noise: NoiseModel
+    """Of a pixel of the corrected frames."""
     saturation: float
+    """The lowest clipped grey level."""
     flicker: float | None
+    """As in `Decoding`."""
     measuring_motion: Future[MotionEstimate | None]
+    """The motion of the devices, measured in the background."""
     code_shifts: tuple[CodeShift, ...]
+    """Of the codes of each axis against its fringes."""
     findings: tuple[Finding, ...]
+    """For the operator."""
     phase_jump: Callable[[], tuple[int, int] | None]
+    """Finds, on request, the two frames between which fringes jumped."""
     inconsistent: InconsistentPixels | None = None
+    """Where an object moved, if the frames agree elsewhere; None otherwise."""
 
     @property
     def moved(self) -> Bools | None:
@@ -188,18 +192,26 @@ def _equalise(code_images: CodeImages, samples: Samples, inconsistent: Inconsist
 
 
 @dataclass(frozen=True)
-class CalibratedDecoders:
-    """The decoders of both axes with tolerances calibrated on a sample, and the `modulation` as in `Decoding`."""
+class CalibratedAxes:
+    """What a sample tells of decoding both axes."""
 
     decoders: tuple[AxisDecoder, AxisDecoder]
+    """With tolerances calibrated on it."""
     modulation: float | None
+    """As in `Decoding`."""
+    anomalies: tuple[Finding, ...]
+    """What is wrong with the frames and may do no harm."""
+
+    @property
+    def unchecked(self) -> list[Unchecked]:
+        """The systematic errors of axes which nothing in the capture checks."""
+        return [decoder.unchecked for decoder in self.decoders if decoder.unchecked]
 
 
-def check_and_calibrate(
-    code_images: CodeImages, sample: Sample, observed: Observations, anomalies: list[Finding], *, is_steady: bool
-) -> CalibratedDecoders | AmbientLightChange:
-    """Check the frames, append what is wrong to `anomalies`, and calibrate the decoders on the sample. Raises
-    InputError.
+def calibrate_axes(
+    code_images: CodeImages, sample: Sample, observed: Observations, *, is_steady: bool
+) -> CalibratedAxes | AmbientLightChange:
+    """Check the frames and calibrate the decoders on the sample. Raises InputError.
 
     Returns the ambient light change instead if there is a harmful one to be corrected, unless the light `is_steady`.
     """
@@ -207,7 +219,8 @@ def check_and_calibrate(
     static = sample if moved is None else sample.without(moved)
     x, y = signals_of(code_images, lambda image: static.of(image)[None], static.level)
     thin = x, y
-    with ThreadPoolExecutor(1) as aside:
+    anomalies: list[Finding] = []
+    with annotate_errors(anomalies), ThreadPoolExecutor(1) as aside:
         # Errors in the frames are reported before any error of the calibration.
         calibrating = aside.submit(calibrated_decoders, plan, observed.noise, observed.saturation, thin, static.levels)
         of_frames, switch = check_frames(
@@ -225,7 +238,7 @@ def check_and_calibrate(
             measured = measured_widely(decoders, thin)
             for decoder, of_axis in measured:
                 anomalies += check_fringes(plan, decoder, of_axis)
-        return CalibratedDecoders(decoders, modulation(of_axis for _, of_axis in measured))
+    return CalibratedAxes(decoders, modulation(of_axis for _, of_axis in measured), tuple(anomalies))
 
 
 def _explained(

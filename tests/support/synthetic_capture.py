@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from calib.numerics import Bools, Image
-from scanner.decoding import Decoder, Decoding, FrameCorrections, Samples, corrections_of, plan_sequence
+from scanner.decoding import Decoder, Decoding, FrameCollector, FrameCorrections, estimate_corrections
 from scanner.patterns import Pattern, Phase, draw, phase_sequence
 
 Light = NDArray[np.floating[Any]]
@@ -181,9 +181,10 @@ def corrections_to(
     patterns: Sequence[Pattern], frames: Sequence[Image], projector: tuple[int, int]
 ) -> FrameCorrections:
     """What is found to affect all frames."""
-    plan, taken = plan_sequence(patterns, projector), np.array(frames, np.uint8)
-    samples = Samples.read(plan, taken.shape[1:], lambda part: (frame[part] for frame in taken), neighbours=False)
-    return corrections_of(plan, taken, samples.scattered)
+    collector = FrameCollector(patterns, projector, calibrated=False)
+    for frame in frames:
+        collector.add(frame.astype(np.uint8))
+    return estimate_corrections(collector.complete())
 
 
 def decode(patterns: Sequence[Pattern], frames: Iterable[Image], projector: tuple[int, int]) -> Decoding:

@@ -2,5 +2,5 @@
 
 from scanner.decoding.coordinates.axis_decoder import AxisDecoder, UnwrappedFringes
 from scanner.decoding.coordinates.code_images import CodeImages, Signals
-from scanner.decoding.coordinates.coordinate_maps import SMALLEST_PATCH, Maps
+from scanner.decoding.coordinates.coordinate_map import SMALLEST_PATCH, CoordinateMap
 from scanner.decoding.coordinates.decoder_calibration import agreeing

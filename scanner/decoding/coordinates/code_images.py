@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import STRIP_ROWS, WHOLE, Floats32, Image, Part, Window, Words, in_slices
 from scanner.decoding.codes import CodeWords
-from scanner.decoding.corrections import CorrectedFrames, FrameCorrections, gains_of_pairs, levels_of_bit, white_of
+from scanner.decoding.corrections import CorrectedFrames, gains_of_pairs, levels_of_bit, white_of
 from scanner.decoding.light import Sample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
@@ -21,18 +21,18 @@ from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 class CodeImages:
     """The full-size images that the bits of a capture give, and its frames.
 
-    `codes`: words and contrasts. `white` (H, W): the white frame or, without one, the maximum over all frames.
-    `threshold` (H, W): grey level half-way between lit and unlit; without black, that of a pair. `peak` (H, W): maximum
-    over the fringe frames, or as `white` without fringes. `log_exposure` (H, W): logarithm of each pixel's relative
-    exposure; None if all were exposed alike. `gains`: of the patterns that have an inverse. `white_gain`: brightness of
-    white in the patterns relative to the white frame; if it differs from 1, `white` and `threshold` are those of the
-    patterns.
+    `plan`: what is decoded; `plan_as_shown`: what the projector showed. `codes`: words and contrasts. `white` (H, W):
+    the white frame or, without one, the maximum over all frames. `threshold` (H, W): grey level half-way between lit
+    and unlit; without black, that of a pair. `peak` (H, W): maximum over the fringe frames, or as `white` without
+    fringes. `log_exposure` (H, W): logarithm of each pixel's relative exposure; None if all were exposed alike.
+    `gains`: of the patterns that have an inverse. `white_gain`: brightness of white in the patterns relative to the
+    white frame; if it differs from 1, `white` and `threshold` are those of the patterns.
 
     `sample`: of all `frames`.
     """
 
-    def __init__(self, frames: CorrectedFrames, sample: Sample) -> None:
-        plan = self.plan = self._shown = frames.plan
+    def __init__(self, frames: CorrectedFrames, sample: Sample, log_exposure: Floats32 | None = None) -> None:
+        plan = self.plan = self.plan_as_shown = frames.plan
         self._frames = frames
         self._equalisers: dict[int, Callable[[Image, Part], NDArray[Any]]] = {}
         self._first = {plan.shown.index(index): index for index in plan.shown}
@@ -49,7 +49,7 @@ class CodeImages:
         self.codes = [
             CodeWords(code, shape, dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
         ]
-        self.log_exposure: Floats32 | None = None
+        self.log_exposure = log_exposure
         self.white, self.threshold = np.empty(shape, dtype), np.empty(shape, dtype)
         self.peak = np.empty(shape, dtype) if plan.fringes else self.white
         in_slices(shape[0], STRIP_ROWS, self._fold)
@@ -71,7 +71,7 @@ class CodeImages:
 
     def thresholds(self, frames: Mapping[int, Image]) -> dict[int, Image]:
         """Return the thresholds of bits without an inverse, by the frame's index, where all `frames` are shown."""
-        white, threshold = _light(self._shown, frames)
+        white, threshold = _light(self.plan_as_shown, frames)
         return {frame: bit.threshold(threshold, white) if bit else threshold for frame, bit in self._bits.items()}
 
     def equalised(
@@ -89,7 +89,7 @@ class CodeImages:
 
         The frames as they were kept, if they are not corrected.
         """
-        if self._frames.corrections == FrameCorrections() and not self._equalisers.keys() & {*frames}:
+        if not self._frames.corrections.are_any and not self._equalisers.keys() & {*frames}:
             kept = {index: place for place, index in self._first.items() if index in frames}
             return self._frames.taken, kept, (part[0].start, part[1].start)
         order = [index for index in self._first.values() if index in frames]
@@ -110,7 +110,7 @@ class CodeImages:
         Most edges of an XOR code bound no cell. If blur removes the finest stripes, the edges of the next bit are
         displaced too.
         """
-        whole = [] if self._shown.fringes else [code for code in self._shown.codes if code.base is None]
+        whole = [] if self.plan_as_shown.fringes else [code for code in self.plan_as_shown.codes if code.base is None]
         all_words = [
             code_words for code_words in self.codes if code_words.code in axis.codes and code_words.code in whole
         ]
@@ -123,6 +123,11 @@ class CodeImages:
             for axis in self.plan.axes
         )
         self.plan, self.codes = replace(self.plan, x=x, y=y), list(codes)
+
+    def forget_contrasts(self) -> None:
+        """Let go of everything but the words of the codes."""
+        for code_words in self.codes:
+            code_words.forget_contrasts()
 
     def forget_fringes(self) -> None:
         """Drop the fringes and decode the codes alone; white and black show what is lit."""

@@ -9,6 +9,8 @@ Fringes and stripe edges have a sigma from noise. If the residuals are larger, f
 the sigma is raised to match them.
 """
 
+from collections.abc import Mapping
+from dataclasses import replace
 from math import sqrt
 
 import cv2
@@ -29,10 +31,10 @@ from calib.numerics import (
     lines_of,
     widened,
 )
-from scanner.decoding.codes import CELLS_PER_PIXEL, BitLevels, interpolate
+from scanner.decoding.codes import CELLS_PER_PIXEL, BitLevels, CodeWords, interpolate
 from scanner.decoding.coordinates.axis_decoder import Coordinate, largest_variance, least_contrasts
 from scanner.decoding.coordinates.code_images import CodeImages
-from scanner.decoding.coordinates.coordinate_maps import Maps, breaks
+from scanner.decoding.coordinates.coordinate_map import CoordinateMap, breaks
 from scanner.decoding.light import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason, Reasons
 from scanner.decoding.sequence_plan import AxisPlan, GrayCode, SequencePlan
@@ -50,7 +52,7 @@ _MOST = 4.0
 _MOST_OF_FRINGES = 1.15
 
 
-def check_roughness(plan: SequencePlan, maps: Maps) -> None:
+def check_roughness(plan: SequencePlan, maps: CoordinateMap) -> None:
     """Raise InputError if coordinates from codes alone are much rougher than their cells."""
     if plan.fringes or plan.only_axis is not None:
         return
@@ -63,33 +65,32 @@ def check_roughness(plan: SequencePlan, maps: Maps) -> None:
             )
 
 
-def widen_by_roughness(plan: SequencePlan, maps: Maps) -> None:
-    """Raise the variance of fringe coordinates, in place, to the scatter of neighbours; mask pixels too noisy then as
-    dark.
+def widen_by_roughness(plan: SequencePlan, maps: CoordinateMap) -> CoordinateMap:
+    """Return the map with the variance of fringe coordinates raised to the scatter of neighbours, and pixels too noisy
+    then masked as dark.
     """
     if not plan.fringes or plan.only_axis is not None:
-        return
+        return maps
     relative = float(np.mean(_roughness(maps)))
     if relative < _MOST_OF_FRINGES:
-        return
-    np.multiply(maps.variance, np.float32(relative), out=maps.variance)
+        return maps
+    variance = maps.variance * np.float32(relative)
     just_seen = [largest_variance(axis.fringes[0], with_gray=bool(axis.codes)) for axis in plan.axes if axis.fringes]
-    dark = (maps.reason == np.uint8(MaskReason.KEPT)) & (maps.variance > np.float32(np.mean(just_seen)))
-    maps.reason[dark] = np.uint8(MaskReason.DARK)
-    maps.projector_px[dark] = np.nan
+    dark = maps.masked_as(MaskReason.KEPT) & (variance > np.float32(np.mean(just_seen)))
+    return replace(maps, variance=variance).masked(dark, MaskReason.DARK).without(dark)
 
 
-def widen_between_edges(plan: SequencePlan, maps: Maps) -> None:
-    """Raise the variance of coordinates between stripe edges to the scatter of neighbours, in place.
+def widen_between_edges(plan: SequencePlan, maps: CoordinateMap) -> CoordinateMap:
+    """Return the map with the variance of coordinates between stripe edges raised to the scatter of neighbours.
 
     The unknown shape of edges, due to the lens or camera software, exceeds the noise in good light.
     """
-    if plan.only_axis is None:
-        relative = max(1.0, float(np.mean(_roughness(maps))))
-        np.multiply(maps.variance, np.float32(relative), out=maps.variance)
+    if plan.only_axis is not None:
+        return maps
+    return replace(maps, variance=maps.variance * np.float32(max(1.0, float(np.mean(_roughness(maps))))))
 
 
-def _roughness(maps: Maps) -> tuple[float, float]:
+def _roughness(maps: CoordinateMap) -> tuple[float, float]:
     """Return for x and y the median ratio of residual variance in small tiles to the stated one; 0 if there are few."""
     pixels = _in_tiles(maps)
     coordinates = maps.projector_px.reshape(-1, 2)[pixels].astype(np.float64)
@@ -105,7 +106,7 @@ def _roughness(maps: Maps) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _in_tiles(maps: Maps) -> Ints:
+def _in_tiles(maps: CoordinateMap) -> Ints:
     """Return the pixels (T, P) of some tiles that are mostly decoded, even if these are a small part of the image."""
     height, width = maps.reason.shape
     rows, columns = (np.linspace(0, n - _TILE_PX, min(_GRID, n // _TILE_PX)).astype(np.int64) for n in (height, width))
@@ -146,8 +147,10 @@ _KEPT, _UNDECIDED, _ISOLATED = (
 )
 
 
-def refine_by_edges(code_images: CodeImages, maps: Maps, noise: NoiseModel, undecided: Bools) -> bool:
-    """Interpolate coordinates between stripe edges, in place; return False if too few pixels lie between edges.
+def refine_by_edges(
+    code_images: CodeImages, maps: CoordinateMap, noise: NoiseModel, undecided: Bools
+) -> CoordinateMap | None:
+    """Return the map with coordinates interpolated between stripe edges; None if too few pixels lie between edges.
 
     Pixels that were `undecided` (H, W) are kept if they lie between edges. A pixel that is not between edges along an
     axis keeps its cell's centre there, if the cell is short and continues the pixels around it.
@@ -156,48 +159,62 @@ def refine_by_edges(code_images: CodeImages, maps: Maps, noise: NoiseModel, unde
     all_words = [
         code_words for number in measured if (code_words := code_images.with_edges(code_images.plan.axes[number]))
     ]
-    if len(all_words) < len(measured):
-        return False
     usable = _usable(maps, undecided)
-    if not usable.any():
-        return False
+    if len(all_words) < len(measured) or not usable.any():
+        return None
+    refined = _between_edges(code_images, maps, noise, usable, dict(zip(measured, all_words, strict=True)))
+    if refined is None:
+        return None
+    return widen_between_edges(code_images.plan, _without_breaks(code_images.plan, refined))
+
+
+def _between_edges(
+    code_images: CodeImages, maps: CoordinateMap, noise: NoiseModel, usable: Bools, words: Mapping[int, CodeWords]
+) -> CoordinateMap | None:
+    """Interpolate the coordinates of `usable` pixels (H, W); None if fewer than half of the kept ones lie between some.
+
+    `words`: of the code with edges of each measured axis, by its number.
+    """
     part = around(usable)
-    view, usable = maps.within(part), usable[part]
-    kept = view.reason == _KEPT
+    usable, kept = usable[part], maps.masked_as(MaskReason.KEPT)[part]
     grey = np.arange(np.iinfo(code_images.threshold.dtype).max + 1.0)
     least, _ = least_contrasts(noise, grey)
     light = code_images.threshold[part], code_images.white[part]
-    value, variance = np.empty((2, len(measured), *kept.shape), np.float32)
-    for code_words, *into in zip(all_words, value, variance, strict=True):
+    refined = replace(
+        maps, projector_px=maps.projector_px.copy(), variance=maps.variance.copy(), reason=maps.reason.copy()
+    )
+    values = [refined.projector_px[part][..., number] for number in words]
+    variances = np.empty((len(words), *kept.shape), np.float32)
+    for code_words, *into in zip(words.values(), values, variances, strict=True):
         code = code_words.code
         levels = _levels_of(code_images, code, part)
         interpolate(code_words.words[part], usable, light, levels, least, noise.at_black + noise.gain * grey, into)
         _in_projector_px(code, *into)
-    between = np.logical_and.reduce([np.isfinite(of_axis) for of_axis in variance])
+    between = np.logical_and.reduce([np.isfinite(of_axis) for of_axis in variances])
     # With fewer pixels between edges, cell centres are kept everywhere.
     if np.count_nonzero(between & kept) < max(1.0, HALF * np.count_nonzero(kept)):
-        return False
+        return None
     apart = np.array(
-        [_apart(v, code_words.code.cell) for v, code_words in zip(value, all_words, strict=True)], np.float32
+        [_apart(v, code_words.code.cell) for v, code_words in zip(values, words.values(), strict=True)], np.float32
     )
-    _take_over(value, variance, np.array(measured), apart, usable, view.projector_px, view.variance, view.reason)
-    _mask_breaks(code_images.plan, view)
-    widen_between_edges(code_images.plan, maps)
-    return True
+    by_cells = maps.projector_px[part], maps.variance[part], maps.reason[part]
+    by_edges = refined.projector_px[part], refined.variance[part], refined.reason[part]
+    _fill_in_cells(by_cells, variances, np.array([*words]), apart, usable, by_edges)
+    return refined
 
 
-def _usable(maps: Maps, undecided: Bools) -> Bools:
+def _usable(maps: CoordinateMap, undecided: Bools) -> Bools:
     """Return the pixels (H, W) between which edges count."""
-    kept = maps.reason == _KEPT
+    kept = maps.masked_as(MaskReason.KEPT)
     # Undecided pixels form lines along edges; where there are more of them, it is too dark for edges as well.
     near = cv2.boxFilter(kept.view(np.uint8), cv2.CV_8U, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    usable: Bools = kept | (undecided & (maps.reason == _UNDECIDED) & (near >= _FEWEST_AROUND))
+    usable: Bools = kept | (undecided & maps.masked_as(MaskReason.UNDECIDED) & (near >= _FEWEST_AROUND))
     return usable
 
 
-def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
-    """Mask discontinuities, which the refined coordinates reveal; in place."""
-    kept = maps.reason == _KEPT
+def _without_breaks(plan: SequencePlan, maps: CoordinateMap) -> CoordinateMap:
+    """Return the map with the discontinuities masked that the refined coordinates reveal."""
+    kept = maps.masked_as(MaskReason.KEPT)
     axes = [(number, axis) for number, axis in enumerate(plan.axes) if axis.is_measured]
     broken = np.zeros_like(kept)
 
@@ -211,7 +228,7 @@ def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
         broken[rows] = breaks(there, coordinates, [axis for _, axis in axes], between_edges=True)[own]
 
     in_slices(len(kept), STRIP_ROWS, find)
-    np.copyto(maps.reason, _ISOLATED, where=kept & broken)
+    return maps.masked(kept & broken, MaskReason.ISOLATED)
 
 
 def _levels_of(code_images: CodeImages, code: GrayCode, part: Window) -> BitLevels:
@@ -240,41 +257,48 @@ def _apart(value: Floats32, cell: float) -> float:
 
 
 @compiled
-def _take_over(
-    value: Floats32,
+def _fill_in_cells(
+    by_cells: tuple[Floats32, Floats32, Reasons],
     spread: Floats32,
     axes: Ints,
     apart: Floats32,
     usable: Bools,
-    projector_px: Floats32,
-    variance: Floats32,
-    reason: Reasons,
+    by_edges: tuple[Floats32, Floats32, Reasons],
 ) -> None:
-    """Store the values (A, H, W) of the measured `axes` (A,), and the mean of their variances, in place.
+    """Fill in the centres of cells where no coordinate is known between edges, and the mean of the variances.
 
-    A remaining cell centre must be within `apart` (A,) of the values around it.
+    `by_cells` and `by_edges`: coordinates (H, W, 2), variances and reasons; between edges the `axes` (A,) have the
+    variances `spread` (A, H, W), which are infinite where unknown. A cell's centre must be within `apart` (A,) of the
+    coordinates around it.
     """
-    count, height, width = value.shape
+    cells_px, cell_variance, reason_of_cell = by_cells
+    projector_px, variance, reason = by_edges
+    count, height, width = spread.shape
     for row in range(height):
         for column in range(width):
-            if not usable[row, column]:
-                continue
             known = 0
             for k in range(count):
                 known += np.isfinite(spread[k, row, column])
-            if known < count and reason[row, column] == _UNDECIDED:
+            if not usable[row, column] or (known < count and reason_of_cell[row, column] == _UNDECIDED):
                 continue
-            own, mean, lone = variance[row, column], np.float32(0), False
+            own, mean, lone = cell_variance[row, column], np.float32(0), False
             for k in range(count):
                 if np.isfinite(spread[k, row, column]):
-                    projector_px[row, column, axes[k]] = value[k, row, column]
                     mean += spread[k, row, column]
                     continue
                 mean += own
-                near = _around(value[k], spread[k], row, column)
-                lone |= not abs(projector_px[row, column, axes[k]] - near) <= apart[k]
+                near = _around(projector_px[:, :, axes[k]], spread[k], row, column)
+                centre = cells_px[row, column, axes[k]]
+                projector_px[row, column, axes[k]] = centre
+                lone |= not abs(centre - near) <= apart[k]
             variance[row, column] = mean / np.float32(count)
             reason[row, column] = _ISOLATED if lone else _KEPT
+    # Only now, as what is known along one axis tells of the cells around.
+    for row in range(height):
+        for column in range(width):
+            if not usable[row, column] or reason[row, column] == _UNDECIDED:
+                for k in range(count):
+                    projector_px[row, column, axes[k]] = cells_px[row, column, axes[k]]
 
 
 @compiled

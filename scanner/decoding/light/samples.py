@@ -6,7 +6,8 @@ of them, the curvature of the frames along rows is used as well; edges of the sc
 Immerkær, CVIU 64, 1996).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -81,6 +82,12 @@ class Sample:
         self.is_divided = True
         for sample in self.beside:
             sample.divide(frame, by)
+
+    def copy(self) -> Self:
+        """Return a sample of the same frames, which may be divided by themselves."""
+        copied = copy(self)
+        copied.beside, copied._frames = tuple(sample.copy() for sample in self.beside), dict(self._frames)
+        return copied
 
     def without(self, chosen: Bools) -> "Sample":
         """Return a sample without the chosen pixels (H, W)."""
@@ -183,6 +190,10 @@ class Samples:
         """Return samples of images (H, W), without frames; with `neighbours` as in `Sample.at_random`."""
         return cls(Sample.at_random(shape, neighbours=neighbours), TileSample(shape), GridSample(shape))
 
+    def copy(self) -> Self:
+        """Return samples of the same frames, which may be divided by themselves."""
+        return replace(self, scattered=self.scattered.copy(), tiles=self.tiles.copy(), grid=self.grid.copy())
+
     @property
     def each(self) -> tuple[Sample, ...]:
         """All samples."""
@@ -196,7 +207,7 @@ class Samples:
 
     @classmethod
     def read(
-        cls, plan: SequencePlan, shape: tuple[int, int], read: Callable[[Part], Iterator[Image]], *, neighbours: bool
+        cls, plan: SequencePlan, shape: tuple[int, int], read: Callable[[Part], Iterable[Image]], *, neighbours: bool
     ) -> Self:
         """Return samples of images (H, W) of which `read` yields a part of all frames, in order."""
         samples = cls.of(shape, neighbours=neighbours)

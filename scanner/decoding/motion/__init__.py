@@ -29,4 +29,4 @@ from scanner.decoding.motion.pixels import (
     shifts_by_motion,
 )
 from scanner.decoding.motion.single_frames import find_phase_jump
-from scanner.decoding.motion.wrong_bits import mask_wrong_bits
+from scanner.decoding.motion.wrong_bits import mask_wrong_bits, repair_codes

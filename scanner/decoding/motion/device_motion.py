@@ -63,10 +63,10 @@ class CoordinateShift:
         shifts: Floats = np.einsum("nac,ac->na", by_motion, self.motions)
         return shifts
 
-    def subtract_from(self, projector_px: Floats32) -> None:
-        """Subtract the shifts from a map of projector coordinates (H, W, 2), in place, with the gradient of the map."""
+    def subtracted_from(self, projector_px: Floats32) -> Floats32:
+        """Return a map of projector coordinates (H, W, 2) less the shifts, with the gradient of the map."""
         height, width, _ = projector_px.shape
-        before = np.pad(projector_px, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        before, result = np.pad(projector_px, ((1, 1), (1, 1), (0, 0)), mode="edge"), np.empty_like(projector_px)
         for top in range(0, height, STRIP_ROWS):
             rows = slice(top, min(top + STRIP_ROWS, height))
             around = before[rows.start : rows.stop + 2]
@@ -75,7 +75,8 @@ class CoordinateShift:
             y, x = np.mgrid[rows, :width]
             camera_px = np.stack([x.reshape(-1), y.reshape(-1)], axis=1)
             here = projector_px[rows].reshape(-1, 2).astype(np.float64)
-            projector_px[rows] -= self.shifts(camera_px, here, gradient).reshape(-1, width, 2)
+            result[rows] = projector_px[rows] - self.shifts(camera_px, here, gradient).reshape(-1, width, 2)
+        return result
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ import numpy as np
 
 from calib.numerics import Bools, Floats32, Image, Ints, Words, compiled, median
 from scanner.decoding.codes import CodeWords, cell_numbers
-from scanner.decoding.coordinates import Maps
+from scanner.decoding.coordinates import CodeImages, CoordinateMap
 from scanner.decoding.light import STATIC_SHARE, GridSample
 from scanner.decoding.mask_reasons import BROKEN, MaskReason
-from scanner.decoding.motion.inconsistent_pixels import patches
+from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels, patches
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF
 
@@ -40,21 +40,22 @@ _Border = tuple[int, int, int]
 _FAR_CELLS, _TIMES_USUAL = 1.4, 4.0
 
 
-def mask_wrong_bits(plan: SequencePlan, maps: Maps, moved: Bools | None) -> None:
-    """Mask, in place, pixels with wrong bits; `moved` (H, W): where something is known to have moved, or None.
+def mask_wrong_bits(plan: SequencePlan, maps: CoordinateMap, moved: Bools | None) -> CoordinateMap:
+    """Return the map with the pixels masked that have wrong bits.
 
-    With fringes, these are the pixels with a period slip relative to their surface. With codes alone, they are patches
-    whose pixels are inconsistent or jump, unless such patches cover most of the picture.
+    `moved` (H, W): where something is known to have moved, or None. With fringes, wrong bits are period slips relative
+    to the surface around. With codes alone, they are patches whose pixels are inconsistent or jump, unless such patches
+    cover most of the picture.
     """
     wrong = in_wrong_cycles(plan, maps) if plan.fringes else _in_broken_patches(plan, maps)
-    wrong &= maps.reason != MaskReason.DARK
-    maps.reason[wrong] = np.uint8(MaskReason.MOVED)
+    wrong &= ~maps.masked_as(MaskReason.DARK)
+    masked = maps.masked(wrong, MaskReason.MOVED)
     # Isolated pixels on the border of another period would look like a code that does not belong to the fringes.
     near = cv2.dilate(wrong.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=2) > 0
-    maps.projector_px[wrong | (maps.reason != MaskReason.KEPT) & (near if moved is None else near | moved)] = np.nan
+    return masked.without(wrong | ~masked.masked_as(MaskReason.KEPT) & (near if moved is None else near | moved))
 
 
-def _in_broken_patches(plan: SequencePlan, maps: Maps) -> Bools:
+def _in_broken_patches(plan: SequencePlan, maps: CoordinateMap) -> Bools:
     grid = GridSample((maps.reason.shape[0], maps.reason.shape[1]))
     reason = grid.of(maps.reason)
     broken = np.isin(reason, BROKEN) | _jumps(plan, grid, maps)
@@ -65,7 +66,7 @@ def _in_broken_patches(plan: SequencePlan, maps: Maps) -> Bools:
     return grid.at_full_size(broken_patches)
 
 
-def _jumps(plan: SequencePlan, grid: GridSample, maps: Maps) -> Bools:
+def _jumps(plan: SequencePlan, grid: GridSample, maps: CoordinateMap) -> Bools:
     """Return pixels of the grid (h, w) that are farther from their neighbour than cells explain.
 
     Pixels on a steep surface are not counted, whose steps are all alike.
@@ -100,7 +101,7 @@ def _step_change(steps: Floats32) -> Floats32:
     return np.where(np.isnan(result), np.abs(steps), result)
 
 
-def in_wrong_cycles(plan: SequencePlan, maps: Maps) -> Bools:
+def in_wrong_cycles(plan: SequencePlan, maps: CoordinateMap) -> Bools:
     """Return the pixels (H, W) with a period slip along either axis."""
     wrong = np.zeros(maps.reason.shape, np.bool_)
     for number, axis in enumerate(plan.axes):
@@ -220,6 +221,27 @@ _PLANE_PX, _ROUNDS = 9, 8
 # Largest distance of a cell from the plane of its neighbours: half a cell for each of them, and as much for a bend.
 _NEAR_CELLS = 1.5
 _MOST_CORRUPTED = 2  # bits of a pixel: one that is hidden longer stays corrupted
+
+
+def repair_codes(code_images: CodeImages, inconsistent: InconsistentPixels | None) -> Bools | None:
+    """Decide corrupted bits of plain Gray codes, in place; return the pixels (H, W) that remain corrupted, None if
+    nothing moved.
+    """
+    if inconsistent is None:
+        return None
+    unrepaired, decided = (np.zeros(code_images.white.shape, np.bool_) for _ in range(2))
+    for code_words in code_images.codes:
+        by_bit = {
+            bit: inconsistent.corrupted_by_frames[pair]
+            for bit, pair in code_words.code.pairs.items()
+            if pair in inconsistent.corrupted_by_frames
+        }
+        if by_bit and code_words.code.base is None:
+            frames = dict(code_images.equalised(frames=code_words.code.frames))
+            repaired = repair_bits(code_words, by_bit, frames, inconsistent.static)
+            unrepaired |= np.logical_or.reduce(list(by_bit.values())) & ~repaired
+            decided |= repaired
+    return inconsistent.corrupted & (unrepaired | ~decided)
 
 
 def repair_bits(

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from calib.numerics import Bools
 from calib.refusal import RefusalError
-from scanner.decoding.coordinates import Maps
+from scanner.decoding.coordinates import CoordinateMap
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.matches import match_kept
+from scanner.decoding.matches import collect_matches
 from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import Axis, Black, Gray, Pattern, White, sequence_for
@@ -135,8 +135,10 @@ def test_a_coordinate_beyond_any_border_is_outside(
     projector_px = cell_px.copy()
     projector_px[20:22, 30:32, axis] = beyond_px
     shape = cell_px.shape[:2]
-    maps = Maps(projector_px, np.full(shape, 0.1, np.float32), np.zeros(shape, np.uint8), np.zeros((2, 10), np.int64))
-    matches, reasons = match_kept(plan, maps, np.full(shape, 200, np.uint8), None, cell_px if by_cell else None)
+    maps = CoordinateMap(
+        projector_px, np.full(shape, 0.1, np.float32), np.zeros(shape, np.uint8), np.zeros((2, 10), np.int64)
+    )
+    matches, reasons = collect_matches(plan, maps, cell_px if by_cell else None, np.full(shape, 200, np.uint8), None)
     assert np.all(reasons[20:22, 30:32] == reason)
     assert np.count_nonzero(reasons) == (0 if reason == MaskReason.KEPT else 4)
     assert len(matches) == np.count_nonzero(reasons == MaskReason.KEPT)

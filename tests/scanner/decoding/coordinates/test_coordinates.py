@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scanner.decoding import plan_sequence
 from scanner.decoding.coordinates.axis_decoder import _measure
-from scanner.decoding.coordinates.coordinate_maps import SMALLEST_PATCH, small_patches
+from scanner.decoding.coordinates.coordinate_map import SMALLEST_PATCH, small_patches
 from scanner.patterns import phase_sequence
 
 

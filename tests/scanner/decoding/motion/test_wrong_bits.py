@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.numerics import Bools
-from scanner.decoding import Maps, MaskReason, plan_sequence
+from scanner.decoding import CoordinateMap, MaskReason, plan_sequence
 from scanner.decoding.motion import mask_wrong_bits
 from scanner.decoding.motion.wrong_bits import in_wrong_cycles
 from scanner.patterns import PRESETS, sequence_for
@@ -14,13 +14,13 @@ PLAN = plan_sequence(PRESETS["quick"].patterns(PROJECTOR), PROJECTOR)
 SHADOW = np.s_[20:100, 60:90]
 
 
-def maps(px: np.ndarray, border: Bools) -> Maps:
+def maps(px: np.ndarray, border: Bools) -> CoordinateMap:
     """Return maps of coordinates (H, W, 2), without the pixels on a border, which are masked as not smooth."""
     left_out = border | np.roll(border, 1, axis=0) | np.roll(border, 1, axis=1)
     reason = np.where(left_out, np.uint8(MaskReason.ISOLATED), np.uint8(MaskReason.KEPT))
     noisy = px + np.random.default_rng(3).normal(0, 0.05, px.shape)
     noisy[left_out] = np.nan
-    return Maps(
+    return CoordinateMap(
         noisy.astype(np.float32), np.full(SHAPE, 0.0025, np.float32), reason, np.zeros((2, len(MaskReason)), int)
     )
 
@@ -68,14 +68,15 @@ def test_a_steep_surface_is_not_masked_as_wrong_bits() -> None:
     wrong = np.zeros(SHAPE, np.bool_)
     wrong[15:45, 100:130] = True
     px[wrong] = np.random.default_rng(4).integers(0, 240, (np.count_nonzero(wrong), 2))
-    found = Maps(
+    found = CoordinateMap(
         px.astype(np.float32),
         np.full(SHAPE, 1 / 12, np.float32),
         np.full(SHAPE, np.uint8(MaskReason.KEPT)),
         np.zeros((2, len(MaskReason)), int),
     )
-    mask_wrong_bits(plan_sequence(sequence_for(PROJECTOR, cell=1, shifts=0), PROJECTOR), found, None)
-    masked = found.reason == MaskReason.MOVED
+    result = mask_wrong_bits(plan_sequence(sequence_for(PROJECTOR, cell=1, shifts=0), PROJECTOR), found, None)
+    masked = result.masked_as(MaskReason.MOVED)
+    assert not found.masked_as(MaskReason.MOVED).any(), "no map is edited"
     assert np.mean(masked[wrong]) > 0.95
     assert not masked[floor].any()
     assert 0.05 < np.mean(masked) < 0.12

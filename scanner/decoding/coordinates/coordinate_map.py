@@ -6,7 +6,7 @@ and so are patches too small for a surface: few pixels that agree are outliers t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi, sqrt
 from typing import Any, cast
 
@@ -18,7 +18,6 @@ from calib.numerics import (
     Bools,
     Floats32,
     Ints,
-    Part,
     compiled,
     evenly_spread,
     in_parallel,
@@ -141,8 +140,8 @@ _HALF, _UNKNOWN = np.float32(0.5), np.float32(np.nan)
 
 
 @dataclass(frozen=True)
-class Maps:
-    """Coordinates of all camera pixels."""
+class CoordinateMap:
+    """Coordinates of all camera pixels. No step edits one: each returns another, which may share arrays."""
 
     projector_px: Floats32
     """(H, W, 2): NaN where one coordinate is unknown."""
@@ -155,18 +154,28 @@ class Maps:
     footprint_px2: float = 0.0
     """Variance of a camera pixel's footprint along its principal axis."""
 
-    def within(self, part: Part) -> "Maps":
-        """Return a view of a part of the image."""
-        images = self.projector_px[part], self.variance[part], self.reason[part]
-        return Maps(*images, self.counts, self.footprint_px2)
+    def masked_as(self, reason: MaskReason) -> Bools:
+        """Return the pixels (H, W) that are masked for a reason, or kept."""
+        masked: Bools = self.reason == np.uint8(reason)
+        return masked
+
+    def masked(self, where: Bools, reason: MaskReason) -> "CoordinateMap":
+        """Return the map with the pixels chosen (H, W) masked for a reason."""
+        return replace(self, reason=np.where(where, np.uint8(reason), self.reason))
+
+    def without(self, where: Bools) -> "CoordinateMap":
+        """Return the map with unknown coordinates at the pixels chosen (H, W)."""
+        projector_px = self.projector_px.copy()
+        projector_px[where] = np.nan
+        return replace(self, projector_px=projector_px)
 
 
-def coordinate_maps(
+def decode_tiles(
     code_images: CodeImages,
     decoders: tuple[AxisDecoder, AxisDecoder],
     moved: Bools | None = None,
     corrupted: Bools | None = None,
-) -> Maps:
+) -> CoordinateMap:
     """Decode both coordinates of all pixels. Without fringes, discontinuities are not masked, as cells have steps.
 
     `moved` (H, W): where something moved, which explains contradictions and saturation. `corrupted` (H, W): pixels to
@@ -209,7 +218,7 @@ def coordinate_maps(
         return np.stack([count_reasons(c.reason[own], CONTRADICTIONS) for c in coordinates])
 
     counts = np.sum(in_tiles((height, width), decode), axis=0)
-    return Maps(projector_px, variance, reasons, counts, max(footprint.largest_px2, 0.0))
+    return CoordinateMap(projector_px, variance, reasons, counts, max(footprint.largest_px2, 0.0))
 
 
 @compiled
