@@ -5,6 +5,7 @@ from scanner.decoding.coordinates.coordinate_map import CoordinateMap
 from scanner.decoding.corrections.corrected_frames import FrameCorrections, estimate_corrections
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.frame_stack import FrameCollector, describe_copies, require_decoding_memory
+from scanner.decoding.fringes.phase_unwrapping import in_nearest_cycle
 from scanner.decoding.fringes.single_fringe import UNCHECKED
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.image_quality import MUCH_FLICKER, TOO_DARK, FinestStripes, first_harmonics

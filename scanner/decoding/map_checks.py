@@ -24,7 +24,7 @@ import numpy as np
 from calib.finding import Datum, Finding, Severity
 from calib.geometry import Matches
 from calib.numerics import MANY_PIXELS, Bools, Floats, Floats32, Image, Ints, at_random, chosen_ones, lines_of
-from scanner.decoding.coordinates import AxisDecoder, CodeImages, CoordinateMap, UnwrappedFringes, agreeing
+from scanner.decoding.coordinates import CodeImages, CoordinateMap, FringeAxis, UnwrappedFringes, agreeing
 from scanner.decoding.fringes import disagreements
 from scanner.decoding.light import FRAMES_CONTRADICT, MOST_BROKEN, anomaly, suspected
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, Reasons, count_reasons
@@ -44,7 +44,7 @@ _NEARLY = 0.25
 _MOST_BAD = 0.6  # of the lit pixels: a wrong frame makes half and more of them contradict
 
 
-def check_fringes(plan: SequencePlan, decoder: AxisDecoder, measured: UnwrappedFringes) -> Iterator[Finding]:
+def check_fringes(plan: SequencePlan, decoder: FringeAxis, measured: UnwrappedFringes) -> Iterator[Finding]:
     """Yield anomalies where the fringes of an axis agree poorly with its Gray code or with each other, on a sample
     that was `measured` with the widest tolerances.
 

@@ -9,7 +9,7 @@ import numpy as np
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Bools, Image
 from scanner.decoding.codes.code_checks import check_codes
-from scanner.decoding.coordinates.axis_decoder import AxisDecoder
+from scanner.decoding.coordinates.axis_decoder import AxisDecoder, FringeAxis
 from scanner.decoding.coordinates.code_images import CodeImages, signals_of
 from scanner.decoding.coordinates.decoder_calibration import (
     calibrated_decoders,
@@ -205,7 +205,7 @@ class CalibratedAxes:
     @property
     def unchecked(self) -> list[Unchecked]:
         """The systematic errors of axes which nothing in the capture checks."""
-        return [decoder.unchecked for decoder in self.decoders if decoder.unchecked]
+        return [axis.unchecked for axis in self.decoders if isinstance(axis, FringeAxis) and axis.unchecked]
 
 
 def calibrate_axes(

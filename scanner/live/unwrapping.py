@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Image, compiled
-from scanner.decoding import MaskReason
+from scanner.decoding import MaskReason, in_nearest_cycle
 
 Map = NDArray[np.float32]
 Reasons = NDArray[np.uint8]
@@ -111,9 +111,9 @@ def unwrap(
                 reason[row, column] = _INCONSISTENT
                 continue
             coarse = long_px * np.arctan2(long_sine, long_cosine) / turn
-            coarse += long_px * np.rint((middle[row, column] - coarse) / long_px)
+            coarse = in_nearest_cycle(coarse, middle[row, column], long_px)
             fine = short_px * np.arctan2(short_sine, short_cosine) / turn
-            fine += short_px * np.rint((coarse - fine) / short_px)
+            fine = in_nearest_cycle(fine, coarse, short_px)
             beyond = abs(fine - coarse)
             limit = BEYOND_SIGMAS * np.sqrt(long_variance + short_variance) + UNSTRAIGHT * long_px
             if moving[row, column] == 1:

@@ -104,8 +104,33 @@ class UnwrappedFringes:
 
 
 @dataclass(frozen=True)
-class AxisDecoder:
-    """Decodes the signals of one axis into a coordinate."""
+class GrayAxis:
+    """Decodes the words of one axis into a coordinate: the middle of the cells that they leave."""
+
+    plan: AxisPlan
+    """What measures the axis."""
+    noise: NoiseModel
+    """Of a pixel."""
+
+    def decode(self, signals: Signals) -> Coordinate:
+        """Return the coordinate at every pixel."""
+        least_certain, least_seen = least_contrasts(self.noise, signals.threshold)
+        undecided = {
+            number: _undecided(code, fine, least_certain)
+            for number, (code, fine) in enumerate(zip(self.plan.codes, signals.fine, strict=True))
+            if fine
+        }
+        interval = interval_of(self.plan, signals.words, len(signals.threshold), undecided)
+        for least, contrast in zip(signals.least, signals.contrast, strict=True):
+            flag_contrast(least, least_certain, contrast, least_seen, interval.flags)
+        variance, reason = interval.variance(self.plan.cell), reasons_of(interval.flags)
+        shape = signals.shape
+        return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reason.reshape(shape))
+
+
+@dataclass(frozen=True)
+class FringeAxis:
+    """Decodes the fringes of one axis into a coordinate, with the words of its codes if there are any."""
 
     plan: AxisPlan
     """What measures the axis."""
@@ -137,12 +162,8 @@ class AxisDecoder:
         """The variance of the longest fringe at the limit of detection; blur affects the others more."""
         return np.float32(largest_variance(self.plan.fringes[0], with_gray=bool(self.plan.codes)))
 
-    def decode(self, signals: Signals) -> Coordinate:
-        """Return the coordinate at every pixel."""
-        return self._from_fringes(signals) if self.plan.fringes else self._from_codes(signals)
-
     def measure(self, signals: Signals) -> UnwrappedFringes:
-        """Unwrap the fringes at every pixel; for an axis with fringes."""
+        """Unwrap the fringes at every pixel."""
         interval = interval_of(self.plan, signals.words, len(signals.threshold))
         wrapped = self.wrapped(signals)
         orders = unwrap(self.plan, interval, wrapped, self.tolerances)
@@ -180,7 +201,8 @@ class AxisDecoder:
         visible: Bools = lit & (variance <= np.float32((SIGNIFICANT_SIGMAS / OUTLYING_SIGMAS) ** 2) * self._darkest_px2)
         return visible
 
-    def _from_fringes(self, signals: Signals) -> Coordinate:
+    def decode(self, signals: Signals) -> Coordinate:
+        """Return the coordinate at every pixel."""
         measured = self.measure(signals)
         coordinates, variances = measured.orders.coordinates, measured.variances
         reason, power, usable = reasons_of(measured.flags), measured.power(self.finest), measured.certain
@@ -205,19 +227,8 @@ class AxisDecoder:
             value.reshape(shape), variance.reshape(shape), reason.reshape(shape), brightness.reshape(shape)
         )
 
-    def _from_codes(self, signals: Signals) -> Coordinate:
-        least_certain, least_seen = least_contrasts(self.noise, signals.threshold)
-        undecided = {
-            number: _undecided(code, fine, least_certain)
-            for number, (code, fine) in enumerate(zip(self.plan.codes, signals.fine, strict=True))
-            if fine
-        }
-        interval = interval_of(self.plan, signals.words, len(signals.threshold), undecided)
-        for least, contrast in zip(signals.least, signals.contrast, strict=True):
-            flag_contrast(least, least_certain, contrast, least_seen, interval.flags)
-        variance, reason = interval.variance(self.plan.cell), reasons_of(interval.flags)
-        shape = signals.shape
-        return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reason.reshape(shape))
+
+AxisDecoder = GrayAxis | FringeAxis
 
 
 def _undecided(code: GrayCode, fine: Mapping[int, Image], least_certain: Floats32) -> Words:

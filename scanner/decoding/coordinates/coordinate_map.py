@@ -26,7 +26,7 @@ from calib.numerics import (
     widened,
 )
 from scanner.decoding.codes import BEND_OF_SLOPE
-from scanner.decoding.coordinates.axis_decoder import AxisDecoder, Coordinate
+from scanner.decoding.coordinates.axis_decoder import AxisDecoder, Coordinate, FringeAxis
 from scanner.decoding.coordinates.code_images import CodeImages, signals_in, signals_of
 from scanner.decoding.fringes import (
     BLOCK_PX,
@@ -192,7 +192,7 @@ def decode_tiles(
         )
         wide, own = (wide_rows, wide_columns), (own_rows, own_columns)
         # Lazily, so that the signals of x are freed before those of y are made.
-        coordinates = list(map(AxisDecoder.decode, decoders, signals_in(code_images, wide)))
+        coordinates = list(map(lambda axis, signals: axis.decode(signals), decoders, signals_in(code_images, wide)))
         if moved is not None and corrupted is not None:
             for c in coordinates:
                 why = (corrupted[wide] & (c.reason != MaskReason.DARK)) | (moved[wide] & np.isin(c.reason, _OF_MOTION))
@@ -275,7 +275,7 @@ def _footprint(code_images: CodeImages, decoders: tuple[AxisDecoder, AxisDecoder
     middles = slice(middle, rows[-1] + _TILE_PX, _TILE_PX), slice(middle, columns[-1] + _TILE_PX, _TILE_PX)
     lit = np.ones(len(corners), np.bool_)
     for decoder, at_middles in zip(decoders, signals_in(code_images, middles), strict=True):
-        if decoder.plan.fringes:
+        if isinstance(decoder, FringeAxis):
             lit &= decoder.measure(at_middles).well_lit
     corners = evenly_spread(corners[lit], _MOST_TILES)
     if not len(corners):

@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Bools, Floats32, Image, evenly_spread, lines_of, median
 from scanner.decoding.codes import CodeWords, cell_numbers, check_codes
-from scanner.decoding.coordinates.axis_decoder import AxisDecoder, UnwrappedFringes, largest_variance, least_contrasts
+from scanner.decoding.coordinates.axis_decoder import (
+    AxisDecoder,
+    FringeAxis,
+    GrayAxis,
+    UnwrappedFringes,
+    largest_variance,
+    least_contrasts,
+)
 from scanner.decoding.coordinates.code_images import CodeImages, Signals, signals_of
 from scanner.decoding.fringes import (
     FringeSample,
@@ -225,21 +232,25 @@ def calibrated_decoders(
     """Return decoders for x and y from a sample of the signals of each, and of `levels` (frames, P)
     at the same pixels.
     """
+    with_fringes = [axis for axis in plan.axes if axis.fringes]
+    parts = [part for axis, part in zip(plan.axes, signals, strict=True) if axis.fringes]
     raw = [
-        AxisDecoder(axis, noise, saturation, (None,) * len(axis.fringes), widest_tolerances(axis)) for axis in plan.axes
+        FringeAxis(axis, noise, saturation, (None,) * len(axis.fringes), widest_tolerances(axis))
+        for axis in with_fringes
     ]
-    plain, phases = zip(*map(_with_tolerances, raw, signals), strict=True)
-    chosen, ripples = [*plain], _ripples(chain(*phases))
-    if ripples:
+    found = [*map(_with_tolerances, raw, parts)]
+    plain = chosen = [decoder for decoder, _ in found]
+    if ripples := _ripples(chain(*(phases for _, phases in found))):
         rippled = [replace(decoder, ripple=tuple(map(ripples.get, decoder.plan.fringes))) for decoder in raw]
-        straightened = [decoder for decoder, _ in map(_with_tolerances, rippled, signals)]
+        straightened = [decoder for decoder, _ in map(_with_tolerances, rippled, parts)]
         # Periods are rippled at different places, so that a right correction reduces their disagreement.
         worse = any(
             sum(new.tolerances.fringe_px) > sum(old.tolerances.fringe_px)
             for new, old in zip(straightened, plain, strict=True)
         )
         chosen = chosen if worse else straightened
-    x, y = _with_response(chosen, signals, levels)
+    calibrated = iter(_with_response(chosen, parts, levels))
+    x, y = (next(calibrated) if axis.fringes else GrayAxis(axis, noise) for axis in plan.axes)
     return x, y
 
 
@@ -250,12 +261,12 @@ def agreeing(measured: UnwrappedFringes) -> Bools:
 
 def measured_widely(
     decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals, Signals]
-) -> list[tuple[AxisDecoder, UnwrappedFringes]]:
+) -> list[tuple[FringeAxis, UnwrappedFringes]]:
     """Return the decoders of axes with fringes, each with what it measures with the widest tolerances."""
     return [
         (decoder, replace(decoder, tolerances=widest_tolerances(decoder.plan)).measure(part))
         for decoder, part in zip(decoders, signals, strict=True)
-        if decoder.plan.fringes
+        if isinstance(decoder, FringeAxis)
     ]
 
 
@@ -268,10 +279,8 @@ def modulation(measured: Iterable[UnwrappedFringes]) -> float | None:
     return median(np.concatenate(shares)) if sum(map(len, shares)) else None
 
 
-def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> tuple[AxisDecoder, Iterable[_Phases]]:
+def _with_tolerances(decoder: FringeAxis, signals: Signals) -> tuple[FringeAxis, Iterable[_Phases]]:
     """Return the decoder with the tolerances that it finds, and the phases that it sees."""
-    if not decoder.plan.fringes:
-        return decoder, ()
     measured = decoder.measure(signals)
     chosen = agreeing(measured)
     variances = np.compress(chosen, measured.variances, axis=1)
@@ -284,9 +293,7 @@ def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> tuple[AxisDecode
     return replace(decoder, tolerances=tolerances, finest=finest, blurred=blurred), phases
 
 
-def _with_response(
-    decoders: list[AxisDecoder], signals: tuple[Signals, Signals], levels: Floats32
-) -> list[AxisDecoder]:
+def _with_response(decoders: list[FringeAxis], signals: list[Signals], levels: Floats32) -> list[FringeAxis]:
     """Return the decoders with the response that amplitudes determine, for axes whose phase nothing else checks."""
     alone = [(decoder, part) for decoder, part in zip(decoders, signals, strict=True) if decoder.plan.is_unchecked]
     if not alone:
@@ -301,7 +308,7 @@ def _with_response(
         fringe_samples.append(FringeSample(fringe, np.arctan2(sine, cosine), amplitude, level))
     response = response_of(fringe_samples)
 
-    def knowing(decoder: AxisDecoder) -> AxisDecoder:
+    def knowing(decoder: FringeAxis) -> FringeAxis:
         ripple = response.straightening(decoder.plan.fringes[0])
         return replace(decoder, ripple=(ripple,), unchecked=Unchecked(decoder.plan, response))
 
@@ -340,7 +347,7 @@ def _ripples(samples: Iterable[_Phases]) -> dict[Fringe, Floats32]:
     return tables
 
 
-def _phases(decoder: AxisDecoder, signals: Signals, measured: UnwrappedFringes) -> Iterator[_Phases]:
+def _phases(decoder: FringeAxis, signals: Signals, measured: UnwrappedFringes) -> Iterator[_Phases]:
     # Judged by the fringes themselves, saturation would depend on the phase.
     lit = measured.well_lit & (signals.white < decoder.saturation)
     agrees = agreeing(measured)

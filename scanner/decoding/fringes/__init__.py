@@ -18,6 +18,7 @@ from scanner.decoding.fringes.phase_unwrapping import (
     Tolerances,
     Wrapped,
     disagreements,
+    in_nearest_cycle,
     measured_tolerances,
     resolve_contradictory_codes,
     unwrap,

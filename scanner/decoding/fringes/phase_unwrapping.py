@@ -19,15 +19,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import sqrt
+from typing import Any
 
 import numpy as np
 
-from calib.numerics import Bools, Floats32, Words, compiled, median, robust_sigma
+from calib.numerics import Bools, Floats32, Words, compiled, inlined, median, robust_sigma
 from scanner.decoding.codes import Interval, interval_of
 from scanner.decoding.mask_reasons import PixelFlags, Reasons
 from scanner.decoding.sequence_plan import AxisPlan, GrayCode
 from scanner.decoding.significance import FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS
 
+_Scalar = float | np.floating[Any]
 _INFINITE, _ZERO, _HALF = np.float32(np.inf), np.float32(0), np.float32(0.5)
 
 
@@ -89,8 +91,6 @@ def disagreements(orders: Orders, interval: Interval, chosen: Bools) -> Disagree
 
 def widest_tolerances(plan: AxisPlan) -> Tolerances:
     """Return the initial tolerances: the largest that still separate neighbouring orders."""
-    if not plan.fringes:
-        return Tolerances(0.0, ())
     longest = plan.fringes[0].period
     slack = (longest - plan.cell) / 2 if longest > plan.cell else 0.0
     interval = max(0.9 * slack, 0.1 * plan.cell) if plan.codes else 0.02 * plan.length
@@ -161,6 +161,13 @@ def _followed(
     return cost
 
 
+@inlined
+def in_nearest_cycle(position: _Scalar, near: _Scalar, period: _Scalar) -> _Scalar:
+    """Unwrap a position within a period to the cycle in which it is nearest to a coordinate."""
+    nearest: _Scalar = position + np.rint((near - position) / period) * period
+    return nearest
+
+
 @compiled
 def _first_order(
     position: Floats32, period: np.float32, search: np.float32, low: Floats32, high: Floats32, coordinate: Floats32
@@ -202,7 +209,7 @@ def _follow(
 ) -> None:
     """Unwrap one fringe by the next longer one, and add the cost of their distance; more than `most` contradicts it."""
     for i in range(len(position)):
-        nearest = position[i] + np.rint((longer[i] - position[i]) / period) * period
+        nearest = in_nearest_cycle(position[i], longer[i], period)
         distance = nearest - longer[i]
         square = distance * distance / (longer_variance[i] + variance[i] + tolerance_px2)
         cost[i] += square if square <= most else _INFINITE
