@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Pose, cross
-from calib.numerics import Floats
+from calib.numerics import Bools, Floats
 from calib.registration.sampled_surface import SampledSurface, pair_samples
 from calib.registration.surface_pair import MANY_SAMPLES, ScaledPair, SurfaceSide
 
@@ -109,7 +109,7 @@ _FAR = 3.0  # coarse cells, up to which it does
 _LEAST_SHARE = 0.85  # of samples that agree, among those that say something
 _LEAST_CELLS = 30.0  # coarse cells that agree
 _LEAST_OVERLAP = 0.06
-RIVAL_CELLS = 0.5  # of the best one's agreeing cells, that make another pose a rival
+_RIVAL_CELLS = 0.5  # of the best one's agreeing cells, that make another pose a rival
 _SURE, _BY_CHANCE = 2.0, 0.3  # standard deviations; contradictions that are expected where there are none
 _CLUSTER = 0.25  # coarse cells, whose contradiction counts as one
 _SAME_TOLERANCES = 4.0
@@ -130,11 +130,20 @@ class SurfacePose:
     """Size of what coincides, in coarse cells."""
     contradicting: float
     """Size of what contradicts, in coarse cells."""
+    inside: float
+    """Size of what coincides inside of the planes that bound either surface, in coarse cells."""
+    is_mirrored: bool = False
+    """Whether it is of the second surface's mirror image, x reversed: then it is no motion."""
+
+    @property
+    def shows_more_than_bounds(self) -> bool:
+        """Whether so much coincides besides walls, or faces of a block, that it is no chance."""
+        return self.inside > _LEAST_CELLS
 
 
 def judge(sides: ScaledPair, place: Pose, sign: float, count: int = MANY_SAMPLES) -> SurfacePose:
     """The evidence for a pose, from `count` samples of both."""
-    agreeing, against, overlaps = 0.0, 0.0, []
+    agreeing, against, inside, overlaps = 0.0, 0.0, 0.0, []
     ways = (
         (sides.second, sides.first, place),
         (sides.first, sides.second, place.inverse()),
@@ -143,12 +152,13 @@ def judge(sides: ScaledPair, place: Pose, sign: float, count: int = MANY_SAMPLES
         some = moving.judged if count == MANY_SAMPLES else moving.fine.some(count)
         agree, contradict = _fates(some, still, pose, sign, sides)
         per_cell = sides.coarse**2 / _area_of_sample(some, moving.fine)
-        agreeing += agree / per_cell / 2
-        against += contradict / per_cell / 2
-        overlaps.append(agree / len(some))
+        agreeing += np.count_nonzero(agree) / per_cell / 2
+        against += np.count_nonzero(contradict) / per_cell / 2
+        inside += np.count_nonzero(moving.is_inside(some.points[agree])) / per_cell / 2
+        overlaps.append(np.count_nonzero(agree) / len(some))
     share = agreeing / max(agreeing + against, 1e-9)
     middle = Pose(np.eye(3), sides.first.middle) @ place @ Pose(np.eye(3), -sides.second.middle)
-    return SurfacePose(middle, sides.scale, (overlaps[1], overlaps[0]), share, agreeing, against)
+    return SurfacePose(middle, sides.scale, (overlaps[1], overlaps[0]), share, agreeing, against, inside)
 
 
 def _area_of_sample(some: SampledSurface, whole: SampledSurface) -> float:
@@ -156,8 +166,8 @@ def _area_of_sample(some: SampledSurface, whole: SampledSurface) -> float:
     return whole.cell**2 * len(whole) / len(some)
 
 
-def _fates(some: SampledSurface, still: SurfaceSide, pose: Pose, sign: float, sides: ScaledPair) -> tuple[int, int]:
-    """How many samples agree with a surface, and how many contradict it."""
+def _fates(some: SampledSurface, still: SurfaceSide, pose: Pose, sign: float, sides: ScaledPair) -> tuple[Bools, Bools]:
+    """Which samples (N,) agree with a surface, and which contradict it."""
     moved, tolerance = pose @ some.points, sides.tolerance
     pairs = pair_samples(still.fine, still.tree, moved, sign * pose.rotate(some.normals), _FAR * sides.coarse)
     beside = np.isfinite(pairs.apart) & (pairs.aside < BESIDE * still.fine.cell)
@@ -165,7 +175,7 @@ def _fates(some: SampledSurface, still: SurfaceSide, pose: Pose, sign: float, si
     against = beside & (np.abs(pairs.along) > _FREE * tolerance) & (pairs.cosine > _OPPOSITE_SIDE)
     if still.free is not None:
         against |= ~agree & (pairs.apart > _FREE * tolerance) & still.free.is_violated(moved, _FREE * tolerance)
-    return int(np.count_nonzero(agree)), int(np.count_nonzero(against))
+    return agree, against
 
 
 def worth(judged: SurfacePose) -> float:
@@ -178,12 +188,27 @@ def holds(judged: SurfacePose) -> bool:
     return judged.share > _LEAST_SHARE and judged.agreeing > _LEAST_CELLS and max(judged.overlap) > _LEAST_OVERLAP
 
 
+def is_rival(one: SurfacePose, other: SurfacePose) -> bool:
+    """Whether a pose explains about as much as another or more."""
+    return one.agreeing > _RIVAL_CELLS * other.agreeing
+
+
 def surpasses(one: SurfacePose, other: SurfacePose) -> bool:
-    """Whether clearly less contradicts a pose than another, which does not explain much more."""
+    """Whether a pose rivals another that is clearly more contradicted; or, both being as little contradicted, explains
+    more of what lies between the planes that bound the surfaces: those alone coincide in several ways.
+    """
+    if not is_rival(one, other) or _is_less_contradicted(other, one):
+        return False
+    more = one.shows_more_than_bounds and other.inside < _RIVAL_CELLS * one.inside
+    return more or _is_less_contradicted(one, other)
+
+
+def _is_less_contradicted(one: SurfacePose, other: SurfacePose) -> bool:
+    """Whether clearly less contradicts a pose than another, by more than chance."""
     against, said = one.contradicting / _CLUSTER, (one.agreeing + one.contradicting) / _CLUSTER
     expected = (against + _BY_CHANCE) * (other.agreeing + other.contradicting) / _CLUSTER / (said + _BY_CHANCE)
     most = expected + _SURE * np.sqrt(expected) + 1.0
-    return one.agreeing > RIVAL_CELLS * other.agreeing and other.contradicting / _CLUSTER > most
+    return bool(other.contradicting / _CLUSTER > most)
 
 
 def are_apart(one: SurfacePose, other: SurfacePose, points: Floats, tolerance: float) -> bool:

@@ -35,8 +35,8 @@ _PLANES, _PLANE_SAMPLES, _LEAST_PLANE = 12, 4000, 0.02  # the last as a share of
 _OFF_PLANE = 0.6  # cells
 
 
-def surface_poses(first: SampledSurface, second: SampledSurface) -> tuple[Pose, Floats]:
-    """Poses (K,) X_first = R X_second + t that are worth a closer look, and what each is worth, best first.
+def surface_poses(first: SampledSurface, second: SampledSurface) -> Pose:
+    """Poses (K,) X_first = R X_second + t that are worth a closer look, best first.
 
     Both surfaces have the same cell, and their middles near the origin. Raises ImportError where Open3D is missing.
     """
@@ -54,7 +54,7 @@ def surface_poses(first: SampledSurface, second: SampledSurface) -> tuple[Pose, 
     chosen = distinct_poses(wide, worth, _SAME_TURN, _SAME_CELLS * first.cell, _FOLLOWED)
     close, worth = descended(field, patches.patches, wide[chosen], first.cell * _CLOSE)
     chosen = distinct_poses(close, worth, _SAME_TURN, _SAME_CELLS * first.cell, _KEPT)
-    return close[chosen], worth[chosen]
+    return close[chosen]
 
 
 def _most_promising(field: NearestField, patches: SampledSurface, poses: Pose) -> Pose:

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, evenly_spread, median
 from calib.registration.sampled_surface import SampledSurface, extent_of, measured_noise, sample_surface, spacing_of
+from calib.registration.segments import Facets, grow_planes
 
 _SAMPLE = 2000
 _BIN_SPACINGS = 2.0  # angular distances of neighbouring points in an edge of a bin
 _MOST_BINS = 4_000_000
 _MARGIN = 0.01  # of the range
+_MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,10 @@ _FINE = 160.0  # fine cells across the smaller surface
 _MOST_COARSE, _COARSENINGS = 40_000, 3  # samples of the larger surface; attempts to have no more
 _SPACINGS = 1.5  # least edge of a fine cell, in distances of neighbouring points
 _NOISES, _OF_CELL = 4.0, 0.2  # tolerance: standard deviations of samples, and share of a fine cell
+# Of planes that bound a surface: most of them, least share of the samples on one, most of the samples behind it; and
+# distance, in fine cells, within which samples belong to it.
+_SIGMAS = 3.0
+_BOUNDS, _LEAST_BOUND, _BEHIND, _ON_BOUND = 12, 0.02, 0.05, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +108,38 @@ class SurfaceSide:
     def judged(self) -> SampledSurface:
         """The samples that hypotheses are judged by."""
         return self.fine.some(MANY_SAMPLES)
+
+    @cached_property
+    def bounds(self) -> Floats:
+        """Planes (P, 4), normals and offsets n · x, behind which there is hardly anything: walls, faces of a block.
+
+        Wherever such planes coincide, something of the same outline does, its mirror image included.
+        """
+        some, reach = self.judged, 0.5 * self.fine.cell + _SIGMAS * self.fine.noise
+        facets = Facets(some.points, some.normals, np.full(len(some), reach))
+        bounds = []
+        for plane in grow_planes(facets, _BOUNDS, max(12, _LEAST_BOUND * len(some))):
+            height = plane.heights(some.points)
+            if min(np.mean(height > self.off_bounds), np.mean(height < -self.off_bounds)) < _BEHIND:
+                bounds.append([*plane.normal, plane.offset])
+        return np.array(bounds).reshape(-1, 4)
+
+    @property
+    def off_bounds(self) -> float:
+        """Distance from a plane, below which samples belong to it."""
+        return _ON_BOUND * self.fine.cell + _SIGMAS * self.fine.noise
+
+    def is_inside(self, points: Floats) -> Bools:
+        """Which of its points (N, 3) are on none of the planes that bound it."""
+        heights = points @ self.bounds[:, :3].T - self.bounds[:, 3]
+        inside: Bools = np.all(np.abs(heights) > self.off_bounds, axis=1)
+        return inside
+
+    @property
+    def mirrored(self) -> "SurfaceSide":
+        """Its mirror image, x reversed."""
+        fine = replace(self.fine, points=_MIRROR * self.fine.points, normals=_MIRROR * self.fine.normals)
+        return SurfaceSide.of(fine, _MIRROR * self.middle, None if self.free is None else _MIRROR * self.free.eye)
 
     @classmethod
     def of(cls, surface: SampledSurface, middle: Floats, eye: Floats | None) -> "SurfaceSide":

@@ -20,13 +20,13 @@ from calib.geometry import Pose
 from calib.numerics import Floats, biweight, robust_covariance, robust_sigma
 from calib.registration.sampled_surface import cell_numbers
 from calib.registration.surface_fit import (
-    RIVAL_CELLS,
     FreeMotion,
     PairFit,
     SurfacePose,
     are_apart,
     free_motions,
     holds,
+    is_rival,
     judge,
     position_jacobian,
     surpasses,
@@ -44,6 +44,7 @@ from calib.registration.surface_pair import (
 )
 
 _FINAL_ROUNDS = 12
+_WHOLE = 0.9  # share of a surface that coincides, beyond which hardly anything of it is elsewhere
 _PIECE = 4.0  # coarse cells across what may have moved a little as a whole, so that its errors are equal
 
 
@@ -67,7 +68,9 @@ class SurfaceRegistration:
     best: SurfacePose | None
     """None where no hypothesis could be refined."""
     alternatives: tuple[SurfacePose, ...]
-    """Other poses that fit as well."""
+    """Other poses that fit as well. Poses of the mirror image are among them where nothing but planes coincides that
+    bound the surfaces: two rooms that are mirror images have the same walls.
+    """
     free: tuple[FreeMotion, ...]
     centre: Floats
     """(3,): the middle of the overlap, in the first one's frame."""
@@ -108,8 +111,8 @@ def register_surfaces(
     pair = SurfacePair.of(first, second)
     candidates: list[_Candidate] = []
     for scale in scales:
-        candidates += _refined(pair, scale, starts, with_scale=with_scale)
-    return _answer(candidates, with_scale=with_scale)
+        candidates += _refined(pair.scaled(scale), starts, with_scale=with_scale)
+    return _answer(candidates, with_scale=with_scale, check_mirrored=starts is None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,15 +125,14 @@ class _Candidate:
     judged: SurfacePose
 
 
-def _refined(pair: SurfacePair, scale: float, starts: Pose | None, *, with_scale: bool) -> list[_Candidate]:
+def _refined(sides: ScaledPair, starts: Pose | None, *, with_scale: bool) -> list[_Candidate]:
     """The hypotheses for one scale, refined and judged."""
-    sides = pair.scaled(scale)
     first, second = (side.fine.coarser(sides.coarse) for side in (sides.first, sides.second))
     signs = (1.0,) if first.is_oriented and second.is_oriented else (1.0, -1.0)
     candidates: list[_Candidate] = []
     for sign in signs:
         if starts is None:
-            poses, _ = surface_poses(first, second if sign > 0 else second.flipped)
+            poses = surface_poses(first, second if sign > 0 else second.flipped)
         else:
             to, of = (Pose(np.eye(3), side.middle) for side in (sides.first, sides.second))
             poses = Pose(starts.rotation, starts.translation + starts.rotation @ of.translation - to.translation)
@@ -154,7 +156,7 @@ def _settled(sides: ScaledPair, place: Pose, sign: float, *, with_scale: bool) -
     return _Candidate(moved, place, sign, judge(moved, place, sign))
 
 
-def _answer(candidates: list[_Candidate], *, with_scale: bool) -> SurfaceRegistration:
+def _answer(candidates: list[_Candidate], *, with_scale: bool, check_mirrored: bool) -> SurfaceRegistration:
     """The best candidate, its rivals, and what is known of it."""
     size = 7 if with_scale else 6
     unknown = np.full((size, size), np.nan)
@@ -174,7 +176,7 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool) -> SurfaceRegistr
     made = SurfaceRegistration(Alignment.LOOSE, whole, (), free, centre + shift, unknown, residual, tolerance)
     if free:
         return made
-    rivals = [each for each in ordered[1:] if each.judged.agreeing > RIVAL_CELLS * whole.agreeing]
+    rivals = [each for each in ordered[1:] if is_rival(each.judged, whole)]
     alternatives: list[SurfacePose] = []
     points = best.sides.second.fine.some(500).points + best.sides.second.middle
     for rival in rivals:
@@ -182,12 +184,29 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool) -> SurfaceRegistr
             are_apart(rival.judged, other, points / best.sides.scale, tolerance) for other in (whole, *alternatives)
         ):
             alternatives.append(rival.judged)
+    if check_mirrored and not alternatives and not whole.shows_more_than_bounds and max(whole.overlap) < _WHOLE:
+        alternatives = _mirrored_rivals(ordered[0], with_scale=with_scale)
     if alternatives:
         return replace(made, alignment=Alignment.AMBIGUOUS, alternatives=tuple(alternatives))
     jacobian = position_jacobian(fit.points - centre, fit.normals, with_scale=with_scale)
     cluster = np.unique(cell_numbers(fit.points, _PIECE * best.sides.coarse, np.zeros(3)), return_inverse=True)[1]
     covariance = robust_covariance(jacobian, fit.residual, cluster)
     return replace(made, alignment=Alignment.UNIQUE, covariance=covariance)
+
+
+def _mirrored_rivals(best: _Candidate, *, with_scale: bool) -> list[SurfacePose]:
+    """Poses of the second surface's mirror image that fit as well as the best one.
+
+    No motion maps a scene onto its mirror image. Where the image fits as well, what coincides does not tell whether
+    both surfaces are of one scene, or of two with like walls.
+    """
+    sides = replace(best.sides, second=best.sides.second.mirrored)
+    found = _uncontradicted(_refined(sides, None, with_scale=with_scale))
+    return [
+        replace(each.judged, is_mirrored=True)
+        for each in found
+        if holds(each.judged) and is_rival(each.judged, best.judged) and not surpasses(best.judged, each.judged)
+    ]
 
 
 def _finished(candidate: _Candidate, *, with_scale: bool) -> _Candidate:

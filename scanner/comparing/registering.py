@@ -192,6 +192,8 @@ def _reasons(clouds: RegisteredClouds) -> Iterator[str]:
         for pair in own:
             if pair.registration.alignment is not Alignment.UNIQUE:
                 words = _WORDS[pair.registration.alignment]
+                if any(pose.is_mirrored for pose in pair.registration.alternatives):
+                    words = "have like walls, or flat faces, but so has the mirror image"
                 yield f"{clouds.names[pair.first]} and {clouds.names[pair.second]} {words}."
 
 

@@ -280,7 +280,7 @@ def alignment_document(name: str, pose: SurfacePose | None) -> dict[str, Any]:
         "scale": pose.scale,
         "overlap": {"reference": pose.overlap[0], "result": pose.overlap[1]},
         "agreeing_share": pose.share,
-    }
+    } | ({"of_mirror_image": True} if pose.is_mirrored else {})
 
 
 def _sigmas(covariance: Floats) -> dict[str, Any]:

@@ -27,7 +27,12 @@ def surface_verdict(comparison: SurfaceComparison) -> Verdict:
     match registration.alignment:
         case Alignment.AMBIGUOUS:
             count = 1 + len(registration.alternatives)
-            headline = f"The alignment is ambiguous: {count} poses fit equally well, so no deviation is certain."
+            if any(pose.is_mirrored for pose in registration.alternatives):
+                headline = (
+                    "The alignment is ambiguous: only walls or flat faces coincide, and the mirror image fits as well."
+                )
+            else:
+                headline = f"The alignment is ambiguous: {count} poses fit equally well, so no deviation is certain."
         case Alignment.LOOSE:
             headline = "The alignment is not determined, so no deviation is certain."
         case Alignment.NONE:
@@ -86,6 +91,8 @@ def _against(best: SurfacePose, pose: SurfacePose, centre: Floats, unit: ShownUn
     turn = float(np.degrees(best.pose.angle_from(pose.pose)))
     shift = pose.pose @ best.pose.undo(centre) - centre if best.scale == pose.scale else np.zeros(3)
     moved = unit.error(float(np.linalg.norm(shift)))
+    if pose.is_mirrored:
+        return f"the mirror image, of which {100 * pose.overlap[1]:.0f} % coincides"
     scaled = "" if np.isclose(best.scale, pose.scale) else f", and {pose.scale / best.scale:.4g} times as large"
     return f"turned by {turn:.1f}° and shifted by {moved}{scaled}"
 

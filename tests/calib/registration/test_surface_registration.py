@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Pose, rotation_vector
 from calib.numerics import Floats
+from calib.pointcloud import surface
 from calib.registration import Alignment, SurfacePoints, SurfaceRegistration, register_surfaces, sample_mesh
+from calib.synthetic import STATION_CAMERA, CloudErrors, random_furnished_room, ring, seen_from
 from tests.support.blob import Blob
 
 BLOB = Blob()
@@ -152,3 +155,60 @@ def test_the_answer_does_not_depend_on_the_frame(seed: int) -> None:
     assert found.alignment is Alignment.UNIQUE
     back = one.inverse() @ found.best.pose @ other
     assert np.linalg.norm(back @ second[0] - second[0], axis=1).max() < 0.1
+
+
+def stations(seed: int, pieces: int, step_deg: float) -> tuple[SurfacePoints, SurfacePoints, Pose]:
+    """What two neighbouring stations see of a room, and the pose of the second one on the first."""
+    rng = np.random.default_rng([seed, 11])
+    room = random_furnished_room(rng, pieces)
+    places = ring(rng, room, 6, step_deg)[:2]
+    views = []
+    for place in places:
+        cloud = seen_from(room, place, rng, CloudErrors(shape=0.0)).points
+        normals = surface(cloud, float(np.mean(STATION_CAMERA.focal_px))).normals
+        there = np.isfinite(cloud[..., 2]) & np.isfinite(normals[..., 2])
+        views.append(SurfacePoints(cloud[there].astype(np.float64), normals[there].astype(np.float64), eye=np.zeros(3)))
+    return views[0], views[1], places[0].inverse() @ places[1]
+
+
+@pytest.mark.parametrize("seed", [305, 306, 307])
+def test_a_room_is_not_taken_for_its_mirror_image(seed: int) -> None:
+    first, second, _ = stations(seed, 8, 60.0)
+    mirror, normals = np.array([-1.0, 1.0, 1.0]), second.normals
+    assert normals is not None
+    found = register_surfaces(first, SurfacePoints(mirror * second.points, mirror * normals, eye=np.zeros(3)))
+    assert found.alignment is Alignment.AMBIGUOUS
+    assert found.best is not None
+    assert not found.best.is_mirrored
+    assert not found.best.shows_more_than_bounds
+    assert all(pose.is_mirrored for pose in found.alternatives)
+    assert all(pose.agreeing > found.best.agreeing for pose in found.alternatives)
+
+
+@pytest.mark.parametrize(("seed", "pieces", "step_deg"), [(309, 8, 60.0), (307, 2, 30.0)])
+def test_furniture_tells_poses_apart_at_which_walls_coincide(seed: int, pieces: int, step_deg: float) -> None:
+    first, second, truth = stations(seed, pieces, step_deg)
+    found = register_surfaces(first, second)
+    assert found.alignment is Alignment.UNIQUE
+    assert found.best is not None
+    assert found.best.shows_more_than_bounds
+    assert 1e-5 < np.linalg.norm(found.best.pose.translation - truth.translation) < 0.02
+
+
+def test_a_part_of_flat_faces_is_answered_though_its_mirror_image_fits_as_well() -> None:
+    angle = np.radians([0.0, 50, 85, 150, 200, 275, 310])
+    corners = np.array([[30 * np.cos(a), 30 * np.sin(a), z] for a in angle for z in (0.0, 30.0)])
+    hull = ConvexHull(corners)
+    a, b, c = corners[hull.simplices.T]
+    outwards = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) > 0
+    triangles = np.where(outwards[:, None], hull.simplices, hull.simplices[:, ::-1]).astype(np.int64)
+    points, normals = sample_mesh(corners, triangles, 60_000)
+    seen = normals @ np.array([0.5, 0.6, 0.62]) > 0.2
+    noise = 0.02 * np.random.default_rng(0).standard_normal((len(points), 1))
+    truth = a_pose(20)
+    found = register_surfaces(
+        SurfacePoints(points, normals, 0.0), moved((points + noise * normals)[seen], normals[seen], truth.inverse())
+    )
+    assert found.alignment is Alignment.UNIQUE
+    assert found.best is not None
+    assert np.linalg.norm(found.best.pose @ truth.inverse().__matmul__(points) - points, axis=1).max() < 0.1
