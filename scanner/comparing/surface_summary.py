@@ -53,7 +53,7 @@ def _verdict_of_surface(comparison: SurfaceComparison) -> Verdict:
         if comparison.changes:
             return Verdict("fair", "Nothing deviates, but something is new or gone.", reasons)
         return Verdict("good", "No region deviates by more than its sigmas allow.", reasons)
-    limit = unit.length(test.tolerance)
+    limit = unit.stated(test.tolerance)
     if test.conformity is Conformity.PASS:
         return Verdict("good", f"Pass: the compared surface is within {limit}.", reasons)
     if test.conformity is Conformity.FAIL:
@@ -122,7 +122,7 @@ def _reasons(comparison: SurfaceComparison) -> Iterator[str]:
     test = comparison.test
     if test is not None:
         yield (
-            f"{_percent(test.beyond)} of the compared area deviates by more than {unit.length(test.tolerance)}: "
+            f"{_percent(test.beyond)} of the compared area deviates by more than {unit.stated(test.tolerance)}: "
             f"surely {_percent(test.least_beyond)}, at most {_percent(test.most_beyond)}."
         )
     for region in comparison.regions[:_MOST_REGIONS]:

@@ -108,6 +108,10 @@ class ShownUnit:
         """'50.812 ± 0.013 mm'; five significant digits without a sigma."""
         return f"{self.measured(value, sigma)} {self.name}"
 
+    def stated(self, value: float) -> str:
+        """'0.1 mm', of a length that somebody stated: no digits but theirs."""
+        return f"{value * self.factor:.6g} {self.name}"
+
     def measured(self, value: float, sigma: float | None = None) -> str:
         """The same without the unit."""
         value *= self.factor

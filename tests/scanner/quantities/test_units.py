@@ -37,3 +37,9 @@ def test_a_scale_that_nothing_has_is_refused(value: str, capsys: pytest.CaptureF
 )
 def test_metric_lengths_are_shown_in_millimetres(unit: str, words: str) -> None:
     assert shown_unit(unit).length(0.0508, 0.0012) == words
+
+
+@pytest.mark.parametrize("text", ["0.1 mm", "0.05 mm", "0.254 mm", "25 mm"])
+@pytest.mark.parametrize("working", ["m", "mm"])
+def test_a_stated_length_is_shown_with_its_own_digits(text: str, working: str) -> None:
+    assert shown_unit(working).stated(parse_length(text.replace(" ", ""), working)) == text
