@@ -17,7 +17,7 @@ ALLOWED = {
     ): "a compiled loop that calls others",
     (
         "tests/scanner/decoding/test_sample_analysis.py",
-        "scanner.decoding.light.photometric_constraints",
+        "scanner.decoding.light.frame_checks",
     ): "its own input",
 }
 

@@ -26,8 +26,9 @@ from scanner.decoding.fringes.single_fringe import shift_of, unchecked_finding
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.image_quality import FinestStripes, finest_stripes, too_dark, warnings_of
 from scanner.decoding.light.ambient_light_change import AmbientLightChange
-from scanner.decoding.light.photometric_constraints import suspected
-from scanner.decoding.light.samples import NoiseModel, Samples, measure_noise
+from scanner.decoding.light.constraints import NoiseModel, measure_noise
+from scanner.decoding.light.frame_checks import suspected
+from scanner.decoding.light.samples import Samples
 from scanner.decoding.map_checks import annotate_errors, assess_anomalies, check_cycles, mask_stray_light
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.matches import collect_matches, one_axis, one_axis_finding

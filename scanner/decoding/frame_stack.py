@@ -18,8 +18,9 @@ import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import WHOLE, Floats32, Image, Part
+from scanner.decoding.light.constraints import measure_noise, needs_neighbours
 from scanner.decoding.light.exposures import ExposureMerger, exposures_of, saturation_level
-from scanner.decoding.light.samples import Samples, measure_noise, needs_neighbours
+from scanner.decoding.light.samples import Samples
 from scanner.decoding.planning import plan_sequence, usable
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.errors import FramesError, InputError

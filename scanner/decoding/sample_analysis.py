@@ -22,10 +22,10 @@ from scanner.decoding.corrections.gains import outlier_groups, swings_of
 from scanner.decoding.fringes.single_fringe import Unchecked
 from scanner.decoding.light.ambient_light_change import AmbientLightChange
 from scanner.decoding.light.brightness import Gains, LitRows, flicker_of
+from scanner.decoding.light.constraints import NoiseModel, measure_noise
 from scanner.decoding.light.exposures import lit_by, log_mosaic, saturation_level
-from scanner.decoding.light.frame_checks import agree, check_frames, is_explained_by_swap
-from scanner.decoding.light.photometric_constraints import suspected
-from scanner.decoding.light.samples import NoiseModel, Sample, Samples, measure_noise
+from scanner.decoding.light.frame_checks import agree, check_frames, is_explained_by_swap, suspected
+from scanner.decoding.light.samples import Sample, Samples
 from scanner.decoding.map_checks import annotate_errors, check_fringes
 from scanner.decoding.motion import (
     CodeShift,

@@ -12,7 +12,8 @@ from scanner.decoding.corrections.camera_response import CameraResponse, camera_
 from scanner.decoding.corrections.ghost import Ghost, find_ghost, without_ghost
 from scanner.decoding.frame_stack import FrameStack
 from scanner.decoding.light import AmbientLightChange, unclipped, without_change
-from scanner.decoding.light.samples import Samples, needs_neighbours
+from scanner.decoding.light.constraints import needs_neighbours
+from scanner.decoding.light.samples import Samples
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.shown_text import capitalised
 

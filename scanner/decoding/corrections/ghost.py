@@ -9,7 +9,7 @@ levels. Subtracting the right share removes the contradiction. Steps of fringes 
 which leaves little of it.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import cast
 
@@ -17,9 +17,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from calib.numerics import TRIAL_PIXELS, Floats32, Image, evenly_spread, medians
+from calib.numerics import TRIAL_PIXELS, Floats32, Image, evenly_spread
 from scanner.decoding.corrections.gains import TAILS
-from scanner.decoding.light import residual_of_gains, saturation_level
+from scanner.decoding.light import ConstraintSet, residual_of_gains, saturation_level
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, HALF, MAJORITY
 
@@ -124,14 +124,14 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32) -> tuple[float |
     sample = evenly_spread(levels, TRIAL_PIXELS, axis=-1)
     if not sample.size:
         return None, 0.0
-    kinds = plan.complements, [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
-    sums = [groups for groups in kinds if len(groups) > 1]
+    constraints = ConstraintSet(plan)
 
     def uneven(pictures: Floats32) -> float:
         # The worst sum is left out: a ghost affects all, a single brighter frame only one. Residuals of the steps from
         # a cosine are not used, because a nonlinear response leaves more.
         swing = np.ptp(pictures, axis=0)
-        off = np.concatenate([[0.0], *(np.mean((sums_off(pictures, groups) / swing) ** 2, axis=1) for groups in sums)])
+        sums = [constraints.sums_off(pictures, groups) / swing for groups in constraints.kinds]
+        off = np.concatenate([[0.0], *(np.mean(of_kind**2, axis=1) for of_kind in sums)])
         return float(off.sum() - off.max())
 
     at_first = uneven(sample)
@@ -139,7 +139,7 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32) -> tuple[float |
         return None, at_first
     share, remaining = share_of_previous(plan, sample, uneven, _MOST)
     # With only two sums, as of one fringe per axis, single frames of random exposure reach a quarter by chance.
-    most = _LEFT if sum(map(len, sums)) > 2 else HALF * _LEFT
+    most = _LEFT if sum(map(len, constraints.kinds)) > 2 else HALF * _LEFT
     return (share if _LEAST < share < _MOST - _LEAST and remaining < most * at_first else 0.0), at_first
 
 
@@ -167,11 +167,11 @@ def _unusual(plan: SequencePlan, relative: Floats32) -> Iterator[tuple[tuple[int
     """Yield pairs and single bits of unusual contradiction, with its measure and how much of it may remain, given
     levels (frames, P).
     """
-    pairs = plan.complements
+    constraints, pairs = ConstraintSet(plan), plan.complements
     if len(pairs) >= MAJORITY:
-        squares = np.mean((sums_off(relative, pairs) / 2) ** 2, axis=1)
+        squares = np.mean((constraints.sums_off(relative, pairs) / 2) ** 2, axis=1)
         for number in np.flatnonzero(squares > max(_NOTABLE, _UNUSUAL_PAIR * float(np.median(squares)))).tolist():
-            yield pairs[number], _off_common(pairs, number), _LEFT_OF_PAIRS * float(squares[number])
+            yield pairs[number], _off_common(constraints, number), _LEFT_OF_PAIRS * float(squares[number])
     in_pairs = {frame for pair in pairs for frame in pair}
     bits = sorted({frame for code in plan.codes for frame in code.frames} - in_pairs)
     if len(bits) >= MAJORITY and plan.white is not None and plan.black is not None:
@@ -183,9 +183,9 @@ def _unusual(plan: SequencePlan, relative: Floats32) -> Iterator[tuple[tuple[int
                 yield (bit,), of_bits[bit], _LEFT_OF_BITS * much
 
 
-def _off_common(pairs: Sequence[Sequence[int]], number: int) -> Off:
+def _off_common(constraints: ConstraintSet, number: int) -> Off:
     """Return the squared deviation of a pair's mean light from that of the others."""
-    return lambda levels: float(np.mean((sums_off(levels, pairs)[number] / 2) ** 2))
+    return lambda levels: float(np.mean((constraints.sums_off(levels, constraints.pairs)[number] / 2) ** 2))
 
 
 def _off_once_equalised(relative: Floats32, frames: tuple[int, ...]) -> float:
@@ -245,9 +245,3 @@ def without_previous(
         if place:
             pictures[frame] -= np.float32(share / (1 - share)) * pictures[plan.shown[place - 1]]
     return pictures
-
-
-def sums_off(levels: Floats32, groups: Sequence[Sequence[int]]) -> Floats32:
-    """Return how far the sums of groups of frames are from the usual one, (groups, P)."""
-    sums = np.stack([np.sum(levels[list(frames)], axis=0) for frames in groups])
-    return sums - medians(sums, axis=0)

@@ -12,24 +12,15 @@ from scanner.decoding.light.brightness import (
     residual_of_gains,
     starts_of_bands,
 )
-from scanner.decoding.light.exposures import LIT, lit_by, saturation_level, unclipped
-from scanner.decoding.light.photometric_constraints import (
-    FRAMES_CONTRADICT,
-    LEFT_BY_SWAP,
-    MOST_BROKEN,
+from scanner.decoding.light.constraints import (
     STATIC_SHARE,
-    anomaly,
+    STRAY_PART,
+    ConstraintSet,
+    NoiseModel,
     find_violations,
     frames_of_fine_bits,
-    suspected,
-)
-from scanner.decoding.light.samples import (
-    MOST_ALONG,
-    STRAY_PART,
-    TILE_PX,
-    GridSample,
-    NoiseModel,
-    Sample,
-    TileSample,
     measure_noise,
 )
+from scanner.decoding.light.exposures import LIT, lit_by, saturation_level, unclipped
+from scanner.decoding.light.frame_checks import FRAMES_CONTRADICT, LEFT_BY_SWAP, MOST_BROKEN, anomaly, suspected
+from scanner.decoding.light.samples import MOST_ALONG, TILE_PX, GridSample, Sample, TileSample

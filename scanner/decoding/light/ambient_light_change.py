@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Floats32, Image, median
+from scanner.decoding.light.constraints import ConstraintSet, LitSample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEW, HALF, NEGLIGIBLE
 
@@ -96,18 +97,13 @@ def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:
     return any(abs(parts[frame] - 0.5) > FEW for frame in _fine(plan, 0))
 
 
-def light_switch(
-    plan: SequencePlan, levels: Floats32, swing: Floats32, contradiction: Callable[[Floats32], float]
-) -> AmbientLightChange | None:
-    """Return the ambient light change that explains most of the contradictions of `levels` (frames, P); None if none
-    does.
-
-    `swing` (P,): range of each pixel's levels. `contradiction` measures the inconsistency of frames (frames, P).
-    """
+def light_switch(sample: LitSample) -> AmbientLightChange | None:
+    """Return the ambient light change that explains most of the contradictions of a sample; None if none does."""
+    plan, levels, swing = sample.constraints.plan, sample.levels, sample.swing
     weighted = [
         (frame, *weights)
         for frame in range(1, len(levels))
-        if (weights := _light_weights(plan, levels, frame)) is not None
+        if (weights := _light_weights(sample.constraints, levels, frame)) is not None
     ]
     if not weighted:
         return None
@@ -120,13 +116,14 @@ def light_switch(
     candidates = [candidate for candidate in candidates if _is_of_one_sign(candidate.light(levels) / swing)]
     if not candidates:
         return None
-    remaining = [contradiction(candidate.undone(levels)) for candidate in candidates]
-    least, best, before = min(remaining), candidates[int(np.argmin(remaining))], contradiction(levels)
+    remaining = [sample.by(candidate.undone(levels)).inconsistency for candidate in candidates]
+    least, best = min(remaining), candidates[int(np.argmin(remaining))]
     # A change in the middle of a fringe's steps causes little contradiction, but changes the means of the steps.
     is_even = _spread_of_steps(plan, best.undone(levels)) <= HALF * _spread_of_steps(plan, levels)
     # A clear moment leaves a fifteenth of what others do.
     near = [c.frame for c, rest in zip(candidates, remaining, strict=True) if AS_GOOD * rest <= least]
     best = replace(best, beside=next((frame for frame in near if abs(frame - best.frame) == 1), None))
+    before = sample.inconsistency
     return best if least <= HALF * before or (least < before and is_even) else None
 
 
@@ -136,13 +133,13 @@ def _spread_of_steps(plan: SequencePlan, levels: Floats32) -> float:
     return max(steps, default=0.0) / max(float(np.ptp(means)), NEGLIGIBLE)
 
 
-def _light_weights(plan: SequencePlan, levels: Floats32, frame: int) -> tuple[Floats32, float] | None:
+def _light_weights(constraints: ConstraintSet, levels: Floats32, frame: int) -> tuple[Floats32, float] | None:
     """Return the weights (frames,) of all frames that give the light switched before `frame`, and their precision.
 
     By least squares in the means of pairs and fringes; None if these do not determine it.
     """
     of_means, after = [], []
-    for frames_of, base in _bases(plan, levels, frame):
+    for frames_of, base in _bases(constraints, levels, frame):
         groups = np.zeros((len(frames_of), len(levels)), np.float32)
         for group, frames in zip(groups, frames_of, strict=True):
             group[list(frames)] = 1 / len(frames)
@@ -155,15 +152,15 @@ def _light_weights(plan: SequencePlan, levels: Floats32, frame: int) -> tuple[Fl
 
 
 def _bases(
-    plan: SequencePlan, levels: Floats32, frame: int
+    constraints: ConstraintSet, levels: Floats32, frame: int
 ) -> Iterator[tuple[Sequence[Sequence[int]], Floats32 | None]]:
     """Yield groups of frames of equal mean in constant light, and that mean as weights (frames,) of all frames.
 
     The weights are None if only the other groups determine the mean.
     """
-    fringes = [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
-    if len(plan.complements) > 1:
-        yield plan.complements, None
+    plan, fringes = constraints.plan, [fringe.frames for fringe in constraints.even]
+    if len(constraints.pairs) > 1:
+        yield constraints.pairs, None
     elif fringes and plan.white is not None and plan.black is not None and frame > max(plan.white, plan.black):
         grey = _grey_of(plan, fringes, levels, frame)
         if grey is not None:

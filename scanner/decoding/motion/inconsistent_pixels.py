@@ -1,6 +1,6 @@
 """Detection of pixels whose frames contradict each other while those of other pixels agree: something moved there.
 
-A corrupted frame violates the checks of photometric_constraints.py all over the picture. A moving object or its shadow
+A corrupted frame violates the constraints of light/constraints.py all over the picture. A moving object or its shadow
 violates them in patches, outside of which all frames agree.
 """
 

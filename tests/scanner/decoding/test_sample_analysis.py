@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scanner.decoding.light.photometric_constraints import anomaly
+from scanner.decoding.light.frame_checks import anomaly
 from scanner.decoding.motion import InconsistentPixels
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import _explained
