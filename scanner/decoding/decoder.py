@@ -20,12 +20,11 @@ from calib.numerics import Floats32, Image
 from scanner.decoding.coordinates.code_images import CodeImages
 from scanner.decoding.coordinates.coordinate_map import CoordinateMap, decode_tiles
 from scanner.decoding.coordinates.edge_refinement import check_roughness, refine_by_edges, widen_by_roughness
-from scanner.decoding.corrections.corrected_frames import CorrectedFrames, FrameCorrections, estimate_corrections
+from scanner.decoding.corrections.corrected_frames import CorrectedFrames, estimate_corrections
 from scanner.decoding.frame_stack import FrameCollector, FrameStack
 from scanner.decoding.fringes.single_fringe import shift_of, unchecked_finding
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.image_quality import FinestStripes, finest_stripes, too_dark, warnings_of
-from scanner.decoding.light.ambient_light_change import AmbientLightChange
 from scanner.decoding.light.constraints import NoiseModel, measure_noise
 from scanner.decoding.light.frame_checks import suspected
 from scanner.decoding.light.samples import Samples
@@ -45,7 +44,6 @@ from scanner.decoding.motion import (
 from scanner.decoding.motion.between_axes import halves_of, motion_between
 from scanner.decoding.motion.device_motion import between_periods_px
 from scanner.decoding.sample_analysis import CalibratedAxes, Observations, calibrate_axes, observe
-from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
 
 
@@ -120,41 +118,12 @@ def decode(stack: FrameStack, projector_size: tuple[int, int], calibration: Cali
     sequence.
     """
     corrections = estimate_corrections(stack)
-    is_steady = stack.is_merged or corrections.ghost is not None
-    decoding = _decode(stack, corrections, projector_size, calibration, is_steady=is_steady)
-    if not isinstance(decoding, AmbientLightChange):
-        return decoding
-    errors = []
-    for tried in (replace(corrections, switch=decoding), corrections):
-        try:
-            tried_decoding = _decode(stack, tried, projector_size, calibration, is_steady=True)
-        except InputError as error:
-            errors.append(error)
-        else:
-            if not isinstance(tried_decoding, AmbientLightChange):
-                return tried_decoding
-    raise errors[0]
-
-
-def _decode(
-    stack: FrameStack,
-    corrections: FrameCorrections,
-    projector_size: tuple[int, int],
-    calibration: Calibration | None,
-    *,
-    is_steady: bool,
-) -> Decoding | AmbientLightChange:
-    """Decode the frames with some effects corrected; unless the light `is_steady`, return a harmful change of the
-    ambient light if there is one.
-    """
     frames = CorrectedFrames(stack.plan, stack.frames, corrections)
     samples = frames.sampled() if corrections.are_any else stack.samples.copy()
     images = CodeImages(frames, samples.scattered, stack.log_exposure)
     observed = observe(images, samples, projector_size)
     with attribute_to_motion(lambda: observed.motion, observed.phase_jump):
-        axes = calibrate_axes(images, samples.scattered, observed, is_steady=is_steady)
-        if isinstance(axes, AmbientLightChange):
-            return axes
+        axes = calibrate_axes(images, samples.scattered, observed)
         plan, completion = images.plan, one_axis(stack.plan, calibration)
         with attribute_to_shifts(plan, observed.code_shifts):
             with annotate_errors(axes.anomalies):

@@ -18,10 +18,9 @@ from scanner.decoding.coordinates.decoder_calibration import (
     modulation,
     resolve_bits,
 )
-from scanner.decoding.corrections.gains import outlier_groups, swings_of
+from scanner.decoding.corrections.gains import brighten_white, equalise
 from scanner.decoding.fringes.single_fringe import Unchecked
-from scanner.decoding.light.ambient_light_change import AmbientLightChange
-from scanner.decoding.light.brightness import Gains, LitRows, flicker_of
+from scanner.decoding.light.brightness import LitRows, flicker_of
 from scanner.decoding.light.constraints import NoiseModel, measure_noise
 from scanner.decoding.light.exposures import lit_by, log_mosaic, saturation_level
 from scanner.decoding.light.frame_checks import agree, check_frames, is_explained_by_swap, suspected
@@ -151,11 +150,10 @@ def _inconsistent_pixels(plan: SequencePlan, samples: Samples, noise: NoiseModel
 
 def _with_brighter_white(code_images: CodeImages, sample: Sample) -> Iterator[Finding]:
     """If white is brighter in the patterns than in the white frame, rescale it in the sample and yield a warning."""
-    white, number = code_images.white_gain, code_images.plan.white
-    if white == 1 or number is None:
+    white = code_images.white_gain
+    if white == 1 or code_images.plan.white is None:
         return
-    of_frame, of_patterns = sample.level(number), sample.of(code_images.white)
-    sample.divide(number, np.maximum(of_frame, 1) / np.maximum(of_patterns, 1))
+    brighten_white(code_images.plan, sample, white)
     yield Finding(
         BRIGHTER_WHITE,
         Severity.WARNING,
@@ -172,23 +170,16 @@ def _equalise(code_images: CodeImages, samples: Samples, inconsistent: Inconsist
     `inconsistent`: where something moved; those pixels are ignored, because motion changes their brightness.
     """
     plan, sample = code_images.plan, samples.scattered
-    groups: list[tuple[tuple[int, ...], Gains]] = [*code_images.gains.items()]
-    levels = sample.levels
-    lit = lit_by(np.ptp(levels, axis=0))
+    lit = lit_by(np.ptp(sample.levels, axis=0))
     if inconsistent is not None:
         static = lit[sample.of(inconsistent.static)[lit]]
         lit = static if len(static) >= FEWEST_PIXELS else lit
     places = LitRows(sample.rows[lit], sample.shape[0])
-    for fringe, gains in swings_of(plan, levels[:, lit], places).items():
-        groups.append((fringe.frames, gains))
-        if gains.are_harmful:
-            code_images.equalise(fringe.frames, gains.within(places).divided)
-    for frames, gains in groups:
-        if gains.are_harmful:
-            samples.equalise(plan, frames, gains)
-    for group, by in outlier_groups([(frames, gains.are_harmful) for frames, gains in groups], sample):
-        samples.equalise(plan, group, Gains(np.full((len(group), 1), by)))
-    return flicker_of([gains for _, gains in groups])
+    groups = equalise(plan, samples, code_images.gains, lit)
+    for fringe in plan.fringes:
+        if fringe.frames in groups and groups[fringe.frames].are_harmful:
+            code_images.equalise(fringe.frames, groups[fringe.frames].within(places).divided)
+    return flicker_of([*groups.values()])
 
 
 @dataclass(frozen=True)
@@ -208,13 +199,8 @@ class CalibratedAxes:
         return [axis.unchecked for axis in self.decoders if isinstance(axis, FringeAxis) and axis.unchecked]
 
 
-def calibrate_axes(
-    code_images: CodeImages, sample: Sample, observed: Observations, *, is_steady: bool
-) -> CalibratedAxes | AmbientLightChange:
-    """Check the frames and calibrate the decoders on the sample. Raises InputError.
-
-    Returns the ambient light change instead if there is a harmful one to be corrected, unless the light `is_steady`.
-    """
+def calibrate_axes(code_images: CodeImages, sample: Sample, observed: Observations) -> CalibratedAxes:
+    """Check the frames and calibrate the decoders on the sample. Raises InputError."""
     plan, levels, moved = code_images.plan, sample.levels, observed.moved
     static = sample if moved is None else sample.without(moved)
     x, y = signals_of(code_images, lambda image: static.of(image)[None], static.level)
@@ -223,12 +209,9 @@ def calibrate_axes(
     with annotate_errors(anomalies), ThreadPoolExecutor(1) as aside:
         # Errors in the frames are reported before any error of the calibration.
         calibrating = aside.submit(calibrated_decoders, plan, observed.noise, observed.saturation, thin, static.levels)
-        of_frames, switch = check_frames(
+        anomalies += check_frames(
             plan, observed.levels.astype(np.float32), levels, observed.noise, observed.saturation
-        )
-        if not is_steady and switch is not None and switch.is_harmful:
-            return switch
-        anomalies += of_frames
+        )[0]
         code_anomalies = check_codes(
             plan, code_images.codes, observed.noise, code_images.threshold, code_images.white, moved
         )

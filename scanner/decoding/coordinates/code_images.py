@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 
 from calib.numerics import STRIP_ROWS, WHOLE, Floats32, Image, Part, Window, Words, in_slices
 from scanner.decoding.codes import CodeWords
-from scanner.decoding.corrections import CorrectedFrames, gains_of_pairs, levels_of_bit, white_of
+from scanner.decoding.corrections import (
+    CorrectedFrames,
+    as_in_patterns,
+    extreme,
+    fit_bits,
+    gains_of_pairs,
+    white_and_threshold,
+)
 from scanner.decoding.light import Sample
-from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.decoding.sequence_plan import AxisPlan
 
 
 class CodeImages:
@@ -40,18 +47,15 @@ class CodeImages:
         for pair, gains in self.gains.items():
             if gains.are_harmful:
                 self.equalise(pair, gains.equalised)
-        levels = {index: sample.level(index) for index in self._first.values()}
-        white, threshold = _light(plan, levels)
-        alone = {frame for code in plan.codes for frame in code.unpaired.values()}
-        self._bits = {frame: levels_of_bit(levels[frame], threshold, white) for frame in alone}
-        self.white_gain = white_of([bit for bit in self._bits.values() if bit])
-        shape, dtype = sample.shape, threshold.dtype
+        self._bits, self.white_gain = fit_bits(plan, sample)
+        shape, dtype = sample.shape, sample.level(plan.shown[0]).dtype
         self.codes = [
             CodeWords(code, shape, dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
         ]
         self.log_exposure = log_exposure
-        self.white, self.threshold = np.empty(shape, dtype), np.empty(shape, dtype)
-        self.peak = np.empty(shape, dtype) if plan.fringes else self.white
+        self.white: Image = np.empty(shape, dtype)
+        self.threshold: Image = np.empty(shape, dtype)
+        self.peak: Image = np.empty(shape, dtype) if plan.fringes else self.white
         in_slices(shape[0], STRIP_ROWS, self._fold)
 
     def _fold(self, rows: slice) -> None:
@@ -60,18 +64,15 @@ class CodeImages:
         thresholds = self.thresholds(frames)
         for code_words in self.codes:
             code_words.fill(frames, thresholds, rows)
-        white, threshold = _light(self.plan, frames)
-        if self.white_gain != 1:
-            of_white = 2 * self.white_gain - 1, self.white_gain - 1
-            white, threshold = (cast(Image, cv2.addWeighted(white, of, threshold, 1 - of, 0)) for of in of_white)
-        self.white[rows], self.threshold[rows] = white, threshold
+        ends = white_and_threshold(self.plan, frames)
+        self.white[rows], self.threshold[rows] = as_in_patterns(*ends, self.white_gain)
         steps = [frames[frame] for frame in self.plan.fringe_frames]
         if steps:
-            self.peak[rows] = _extreme(np.maximum, steps)
+            self.peak[rows] = extreme(np.maximum, steps)
 
     def thresholds(self, frames: Mapping[int, Image]) -> dict[int, Image]:
         """Return the thresholds of bits without an inverse, by the frame's index, where all `frames` are shown."""
-        white, threshold = _light(self.plan_as_shown, frames)
+        white, threshold = white_and_threshold(self.plan_as_shown, frames)
         return {frame: bit.threshold(threshold, white) if bit else threshold for frame, bit in self._bits.items()}
 
     def equalised(
@@ -136,28 +137,6 @@ class CodeImages:
         half = cv2.subtract(self.white, self.threshold)
         for code_words in self.codes:
             code_words.contrast = cast(Image, cv2.add(half, half))
-
-
-def _light(plan: SequencePlan, frames: Mapping[int, Image]) -> tuple[Image, Image]:
-    """Return the brightest level, and that half-way between lit and unlit, where all `frames` (...) are shown."""
-    white = _extreme(np.maximum, [*frames.values()]) if plan.white is None else frames[plan.white]
-    if plan.black is not None:
-        return white, _mean(white, frames[plan.black])
-    if plan.complements:
-        first = min(plan.complements, key=lambda pair: max(map(plan.shown.index, pair)))
-        return white, _mean(*(frames[frame] for frame in first))
-    return white, _mean(white, _extreme(np.minimum, [*frames.values()]))
-
-
-def _extreme(of: np.ufunc, images: Sequence[Image]) -> Image:
-    extreme = images[0].copy()
-    for image in images[1:]:
-        of(extreme, image, out=extreme)
-    return extreme
-
-
-def _mean(first: Image, second: Image) -> Image:
-    return cast(Image, cv2.addWeighted(first, 0.5, second, 0.5, 0).reshape(first.shape))
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ _NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.15, 0.03
 _MOST_UNEVEN = 1e12  # squared swings: for a pixel without swing
 # Full scale of the light, 10 bits: in the dark, which tone curves spread, small differences are still a few grey
 # levels.
-_FULL_SCALE = 1023
+FULL_SCALE = 1023
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ class CameraResponse:
     @cached_property
     def _table(self) -> NDArray[np.uint16]:
         levels = np.arange(int(self.top) + 1)
-        light = np.rint(_FULL_SCALE * np.interp(levels, np.linspace(0, self.top, len(self.light)), self.light))
-        light[levels >= self.saturation] = _FULL_SCALE
+        light = np.rint(FULL_SCALE * np.interp(levels, np.linspace(0, self.top, len(self.light)), self.light))
+        light[levels >= self.saturation] = FULL_SCALE
         return light.astype(np.uint16)
 
 

@@ -1,20 +1,31 @@
 """The frames of a capture, read as they would be without the effects on whole frames that are corrected."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
-from calib.numerics import WHOLE, Image, Part
-from scanner.decoding.corrections.camera_response import CameraResponse, camera_response
+from calib.numerics import TRIAL_PIXELS, WHOLE, Image, Part, evenly_spread
+from scanner.decoding.corrections.camera_response import FULL_SCALE, CameraResponse, camera_response
+from scanner.decoding.corrections.gains import brighten_white, equalise, fit_bits, gains_of_pairs
 from scanner.decoding.corrections.ghost import Ghost, find_ghost, without_ghost
 from scanner.decoding.frame_stack import FrameStack
-from scanner.decoding.light import AmbientLightChange, unclipped, without_change
-from scanner.decoding.light.constraints import needs_neighbours
-from scanner.decoding.light.samples import Samples
+from scanner.decoding.light import (
+    AmbientLightChange,
+    ConstraintSet,
+    Samples,
+    check_frames,
+    is_suspected,
+    lit_by,
+    measure_noise,
+    needs_neighbours,
+    unclipped,
+    without_change,
+)
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.errors import InputError
 from scanner.shown_text import capitalised
 
 GHOST = FindingKind(
@@ -104,8 +115,10 @@ class CorrectedFrames:
 
 
 def estimate_corrections(stack: FrameStack) -> FrameCorrections:
-    """Estimate from the sample what affected all frames: a nonlinear response, and ghosting; nothing if the frames are
-    merged from several exposures.
+    """Estimate from the samples what affected all frames: a nonlinear response, ghosting, and a harmful change of the
+    ambient light; nothing if the frames are merged from several exposures.
+
+    A ghost and a change of the light leave the same sums uneven: where there is a ghost, no change is looked for.
     """
     if stack.is_merged:
         return FrameCorrections()
@@ -115,5 +128,39 @@ def estimate_corrections(stack: FrameStack) -> FrameCorrections:
     lit_levels = taken[:, lit]
     top = np.iinfo(np.uint8).max if taken.dtype == np.uint8 else max(frame.max() for frame in stack.showing([]))
     response = camera_response(plan, lit_levels.astype(np.float32), saturation, float(top))
-    light = response.light_of(lit_levels) if response else lit_levels
-    return FrameCorrections(response, find_ghost(plan, light.astype(np.float32), sample.rows[lit]))
+    light = (response.light_of(lit_levels) if response else lit_levels).astype(np.float32)
+    corrections = FrameCorrections(response, find_ghost(plan, light, sample.rows[lit]))
+    some = evenly_spread(light, TRIAL_PIXELS, axis=-1)
+    if corrections.ghost or not some.size or not is_suspected(ConstraintSet(plan), some):
+        return corrections
+    return replace(corrections, switch=_ambient_change(stack, corrections))
+
+
+def _ambient_change(stack: FrameStack, corrections: FrameCorrections) -> AmbientLightChange | None:
+    """Return the ambient light change that explains the frames best; None if it does no harm, or if the frames without
+    it fail the checks of the sample: then it is something else.
+    """
+    try:
+        switch = _check_sample(stack, corrections)
+        if switch is None or not switch.is_harmful:
+            return None
+        _check_sample(stack, replace(corrections, switch=switch))
+    except InputError:
+        return None  # decoding meets it again, with all that is known by then
+    return switch
+
+
+def _check_sample(stack: FrameStack, corrections: FrameCorrections) -> AmbientLightChange | None:
+    """Check the frames as corrected on samples of them, once equally bright; return the ambient light change that the
+    checks find. Raises InputError.
+    """
+    plan, samples = stack.plan, CorrectedFrames(stack.plan, stack.frames, corrections).sampled()
+    sample = samples.scattered
+    saturation = float(FULL_SCALE) if corrections.response else stack.saturation
+    gains, (_, white_gain) = gains_of_pairs(plan, sample), fit_bits(plan, sample)
+    brighten_white(plan, sample, white_gain)
+    levels, noise = sample.levels, measure_noise(plan, sample, saturation)
+    groups = equalise(plan, samples, gains, lit_by(np.ptp(levels, axis=0)))
+    if any(of_group.are_harmful for of_group in groups.values()):
+        noise = measure_noise(plan, sample, saturation)
+    return check_frames(plan, levels, sample.levels, noise, saturation)[1]

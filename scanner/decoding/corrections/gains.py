@@ -10,7 +10,7 @@ changes, and fine stripes that lose light change the two levels of a bit. Both a
 + l (W − B), or lit I = a B + u (W − B), with a, l and u common to the frame.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import cast
@@ -26,6 +26,7 @@ from scanner.decoding.light import (
     Gains,
     LitRows,
     Sample,
+    Samples,
     gains_of_fringe,
     gains_of_pair,
     lit_by,
@@ -102,6 +103,57 @@ def white_of(bits: Sequence[BitLevels]) -> float:
     return white if is_white else 1.0
 
 
+def white_and_threshold(plan: SequencePlan, frames: Mapping[int, Image]) -> tuple[Image, Image]:
+    """Return the brightest level, and that half-way between lit and unlit, where all `frames` (...) are shown."""
+    white = extreme(np.maximum, [*frames.values()]) if plan.white is None else frames[plan.white]
+    if plan.black is not None:
+        return white, _mean(white, frames[plan.black])
+    if plan.complements:
+        first = min(plan.complements, key=lambda pair: max(map(plan.shown.index, pair)))
+        return white, _mean(*(frames[frame] for frame in first))
+    return white, _mean(white, extreme(np.minimum, [*frames.values()]))
+
+
+def extreme(of: np.ufunc, images: Sequence[Image]) -> Image:
+    """Return the least or greatest level of some images."""
+    result = images[0].copy()
+    for image in images[1:]:
+        of(result, image, out=result)
+    return result
+
+
+def _mean(first: Image, second: Image) -> Image:
+    return cast(Image, cv2.addWeighted(first, 0.5, second, 0.5, 0).reshape(first.shape))
+
+
+def fit_bits(plan: SequencePlan, sample: Sample) -> tuple[dict[int, BitLevels | None], float]:
+    """Return the levels of each bit without an inverse, by its frame, and how bright white is in the patterns."""
+    levels = {frame: sample.level(frame) for frame in dict.fromkeys(plan.shown)}
+    white, threshold = white_and_threshold(plan, levels)
+    alone = {frame for code in plan.codes for frame in code.unpaired.values()}
+    bits = {frame: levels_of_bit(levels[frame], threshold, white) for frame in alone}
+    return bits, white_of([bit for bit in bits.values() if bit])
+
+
+def as_in_patterns(white: Image, threshold: Image, white_gain: float) -> tuple[Image, Image]:
+    """Return white and threshold (...) as bright as in the patterns."""
+    if white_gain == 1:
+        return white, threshold
+    brighter, half_way = (
+        cast(Image, cv2.addWeighted(white, of, threshold, 1 - of, 0).reshape(white.shape))
+        for of in (2 * white_gain - 1, white_gain - 1)
+    )
+    return brighter, half_way
+
+
+def brighten_white(plan: SequencePlan, sample: Sample, white_gain: float) -> None:
+    """Make the white frame in a sample as bright as white is in the patterns, in place."""
+    if white_gain != 1 and plan.white is not None:
+        white = sample.level(plan.white)
+        ends = white_and_threshold(plan, {frame: sample.level(frame) for frame in dict.fromkeys(plan.shown)})
+        sample.divide(plan.white, np.maximum(white, 1) / np.maximum(as_in_patterns(*ends, white_gain)[0], 1))
+
+
 def _parts(relative: Floats32, black: Floats32, is_bright: Bools) -> tuple[float, float, float]:
     """Fit the share of black, and those of white minus black where dark and where bright, by least squares.
 
@@ -117,7 +169,7 @@ _FEWEST_CELLS, _MOST_CELLS, _FEWEST_PER_CELL = 16, 64, 32
 _MOST_CONTRAST = 1.5
 
 
-def gains_of_pairs(plan: SequencePlan, sample: Sample) -> dict[tuple[int, int], Gains]:
+def gains_of_pairs(plan: SequencePlan, sample: Sample) -> dict[tuple[int, ...], Gains]:
     """Return the gains of patterns and their inverses, relative to the pairs before them.
 
     The first pair is white and black; without them it is the reference, and left out.
@@ -130,7 +182,7 @@ def gains_of_pairs(plan: SequencePlan, sample: Sample) -> dict[tuple[int, int], 
     }
     ends = [(plan.white, plan.black)] if plan.white is not None and plan.black is not None else []
     pairs = sorted({*plan.complements} - {*ends}, key=lambda pair: max(map(plan.shown.index, pair)))
-    gains_of: dict[tuple[int, int], Gains] = {}
+    gains_of: dict[tuple[int, ...], Gains] = {}
     bits: dict[tuple[int, int], Bools] = {}
     swing, total = np.zeros((2, *sample.rows.shape), np.float32)
     lit = np.arange(0)
@@ -260,16 +312,33 @@ def _are_steps_steady(fringe: Fringe, levels: Floats32, common: Floats32) -> boo
     )
 
 
-def outlier_groups(
-    groups: Sequence[tuple[tuple[int, ...], bool]], sample: Sample
-) -> Iterator[tuple[tuple[int, ...], float]]:
+def equalise(
+    plan: SequencePlan, samples: Samples, of_pairs: Mapping[tuple[int, ...], Gains], lit: Ints
+) -> dict[tuple[int, ...], Gains]:
+    """Equalise frames that differ in brightness in the samples, in place; return the gains of pairs and fringes.
+
+    `lit`: the lit pixels of the scattered sample that tell the gains of fringes.
+    """
+    sample = samples.scattered
+    places = LitRows(sample.rows[lit], sample.shape[0])
+    of_fringes = swings_of(plan, sample.levels[:, lit], places)
+    groups: dict[tuple[int, ...], Gains] = {**of_pairs, **{f.frames: gains for f, gains in of_fringes.items()}}
+    for frames, gains in groups.items():
+        if gains.are_harmful:
+            samples.equalise(plan, frames, gains)
+    for frames, by in _outlier_groups(groups, sample):
+        samples.equalise(plan, frames, Gains(np.full((len(frames), 1), by)))
+    return groups
+
+
+def _outlier_groups(groups: Mapping[tuple[int, ...], Gains], sample: Sample) -> Iterator[tuple[tuple[int, ...], float]]:
     """Yield groups of equalised frames that differ in brightness from the other pairs or fringes, with the ratio.
 
-    `groups`: the frames of pairs and fringes, and whether they differed. Those that did not are the reference, if any.
+    Those whose gains were not harmful are the reference, if any.
     """
-    for kind in ([group for group in groups if len(group[0]) == 2], [group for group in groups if len(group[0]) > 2]):
-        means = np.array([np.mean([np.mean(sample.level(frame)) for frame in frames]) for frames, _ in kind])
-        differed = np.array([differ for _, differ in kind], np.bool_)
+    for kind in ([f for f in groups if len(f) == 2], [f for f in groups if len(f) > 2]):
+        means = np.array([np.mean([np.mean(sample.level(frame)) for frame in frames]) for frames in kind])
+        differed = np.array([groups[frames].are_harmful for frames in kind], np.bool_)
         if differed.any():
             usual = float(np.median(means if differed.all() else means[~differed]))
-            yield from ((kind[at][0], float(means[at]) / usual) for at in np.flatnonzero(differed))
+            yield from ((kind[at], float(means[at]) / usual) for at in np.flatnonzero(differed))

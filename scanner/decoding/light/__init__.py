@@ -1,6 +1,6 @@
 """Grey levels: samples of the frames, their noise, brightness and exposure, and what the light of all must satisfy."""
 
-from scanner.decoding.light.ambient_light_change import AmbientLightChange, without_change
+from scanner.decoding.light.ambient_light_change import AmbientLightChange, is_suspected, without_change
 from scanner.decoding.light.brightness import (
     BANDS,
     LEAST_DIFFERENCE,
@@ -16,11 +16,20 @@ from scanner.decoding.light.constraints import (
     STATIC_SHARE,
     STRAY_PART,
     ConstraintSet,
+    LitSample,
     NoiseModel,
     find_violations,
     frames_of_fine_bits,
     measure_noise,
+    needs_neighbours,
 )
 from scanner.decoding.light.exposures import LIT, lit_by, saturation_level, unclipped
-from scanner.decoding.light.frame_checks import FRAMES_CONTRADICT, LEFT_BY_SWAP, MOST_BROKEN, anomaly, suspected
-from scanner.decoding.light.samples import MOST_ALONG, TILE_PX, GridSample, Sample, TileSample
+from scanner.decoding.light.frame_checks import (
+    FRAMES_CONTRADICT,
+    LEFT_BY_SWAP,
+    MOST_BROKEN,
+    anomaly,
+    check_frames,
+    suspected,
+)
+from scanner.decoding.light.samples import MOST_ALONG, TILE_PX, GridSample, Sample, Samples, TileSample

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats32, Image, median
+from calib.numerics import Floats32, Image, median, medians
 from scanner.decoding.light.constraints import ConstraintSet, LitSample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEW, HALF, NEGLIGIBLE
@@ -95,6 +95,18 @@ def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:
     parts = (means - means[plan.black]) / max(means[plan.white] - means[plan.black], NEGLIGIBLE)
     # Stripes that are not fine may light a few more than half of the visible pixels.
     return any(abs(parts[frame] - 0.5) > FEW for frame in _fine(plan, 0))
+
+
+def is_suspected(constraints: ConstraintSet, levels: Floats32) -> bool:
+    """Whether some lit pixels, `levels` (frames, P), look as by a harmful change of the ambient light before any of the
+    frames; a fast test.
+    """
+    every = (_light_weights(constraints, levels, frame) for frame in range(1, len(levels)))
+    weights = [of_light for of_light, _ in filter(None, every)]
+    if not weights:
+        return False
+    shares = medians(np.stack(weights) @ levels / np.ptp(levels, axis=0), axis=1)
+    return bool(np.abs(shares).max() > _LEAST_SHARE)
 
 
 def light_switch(sample: LitSample) -> AmbientLightChange | None:
