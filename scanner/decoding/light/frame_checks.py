@@ -48,7 +48,7 @@ _FEWEST_LIT = 20  # of the sample: in the fewest pixels that can be decoded at a
 # It is rejected if another exchange of either frame leaves hardly more: if black was taken in brighter light, for
 # example, any dark frame in its place helps as much.
 _DIFFERENT = 0.02  # least mean squared difference of exchanged frames, in swings: less does no harm
-# Flicker and automatic exposure change white by less than this factor.
+# Flicker and automatic exposure change white, and black, by less than this factor.
 _MOST_BRIGHTER = 4.0
 
 FRAMES_CONTRADICT = FindingKind(
@@ -132,7 +132,8 @@ def _in_one_light(sample: LitSample, equalised: LitSample) -> tuple[LitSample, A
     """Remove an ambient light change, from the equalised frames or the original ones, whichever is more consistent.
 
     There was none if the equalised frames are consistent, as a darker step of a fringe looks like light at the opposite
-    one. Nor if lamps flicker and the unknown gain of white alone explains the frames about as well.
+    one. Nor if lamps flicker, and the two gains of white and black, which nothing else tells, explain the frames about
+    as well as a light of its own at each pixel.
     """
     best: tuple[LitSample, AmbientLightChange | None] = equalised, None
     if _is_consistent(equalised):
@@ -143,10 +144,16 @@ def _in_one_light(sample: LitSample, equalised: LitSample) -> tuple[LitSample, A
             without = frames.by(switch.undone(frames.levels))
             best = min(best, (without, switch), key=lambda choice: choice[0].inconsistency)
     flickers = not np.array_equal(equalised.levels, sample.levels)
-    if best[1] is None or sample.constraints.plan.white is None or not flickers:
+    if best[1] is None or not flickers:
         return best
-    flickered = _with_white(equalised, 1 / _MOST_BRIGHTER)
-    return (equalised, None) if flickered.inconsistency <= best[0].inconsistency else best
+    flickered = equalised
+    for frame in (*_ends(sample), *_ends(sample)):
+        flickered = _with_gain(flickered, frame, 1 / _MOST_BRIGHTER)
+    return (equalised, None) if AS_GOOD * flickered.inconsistency <= best[0].inconsistency else best
+
+
+def _ends(sample: LitSample) -> list[int]:
+    return [frame for frame in (sample.constraints.plan.white, sample.constraints.plan.black) if frame is not None]
 
 
 def _is_consistent(sample: LitSample) -> bool:
@@ -161,16 +168,16 @@ def _with_brighter_white(equalised: LitSample) -> LitSample:
     """
     if equalised.constraints.plan.white is None:
         return equalised
-    brighter = _with_white(equalised, 1)
+    brighter = _with_gain(equalised, equalised.constraints.plan.white, 1)
     return brighter if brighter.inconsistency < HALF * equalised.inconsistency else equalised
 
 
-def _with_white(equalised: LitSample, least: float) -> LitSample:
-    """Return the frames with white scaled by `least` or more to be most consistent."""
+def _with_gain(equalised: LitSample, frame: int, least: float) -> LitSample:
+    """Return the frames, of which one is scaled by `least` or more to be most consistent."""
 
     def by(factor: float) -> LitSample:
         levels = equalised.levels.copy()
-        levels[equalised.constraints.plan.white] *= np.float32(factor)
+        levels[frame] *= np.float32(factor)
         return equalised.by(levels)
 
     optimum = scipy.optimize.minimize_scalar(
