@@ -7,7 +7,7 @@ response g = f⁻¹ makes all sums equal, g(I) + g(I') = M at every pixel: least
 g(I).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import TRIAL_PIXELS, Floats, Floats32, Image, evenly_spread, robust_sigma
-from scanner.decoding.light import residual_of_gains
+from scanner.decoding.light import PartOfFrames, residual_of_gains
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF, HUBER_ROUNDS, MAJORITY, NEGLIGIBLE, OUTLYING_SIGMAS
 from scanner.patterns import Xor
@@ -51,6 +51,10 @@ class CameraResponse:
     """The last grey level."""
     saturation: float
     """Pixels are clipped from this grey level on."""
+
+    def apply(self, frames: PartOfFrames, places: Sequence[int]) -> Iterator[Image]:
+        """Yield the light of the frames (...) at some places."""
+        return map(self.light_of, frames.read(places))
 
     def light_of(self, frame: Image) -> Image:
         """Convert grey levels to light, as 16-bit integers; values brighter than white are clipped

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -10,11 +11,12 @@ from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import TRIAL_PIXELS, WHOLE, Image, Part, evenly_spread
 from scanner.decoding.corrections.camera_response import FULL_SCALE, CameraResponse, camera_response
 from scanner.decoding.corrections.gains import brighten_white, equalise, fit_bits, gains_of_pairs
-from scanner.decoding.corrections.ghost import Ghost, find_ghost, without_ghost
+from scanner.decoding.corrections.ghost import Ghost, find_ghost
 from scanner.decoding.frame_stack import FrameStack
 from scanner.decoding.light import (
     AmbientLightChange,
     ConstraintSet,
+    PartOfFrames,
     Samples,
     check_frames,
     is_suspected,
@@ -22,7 +24,6 @@ from scanner.decoding.light import (
     measure_noise,
     needs_neighbours,
     unclipped,
-    without_change,
 )
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.errors import InputError
@@ -42,6 +43,13 @@ LIGHT_SWITCHED = FindingKind(
 )
 
 
+class Correction(Protocol):
+    """An effect on whole frames."""
+
+    def apply(self, frames: PartOfFrames, places: Sequence[int]) -> Iterator[Image]:
+        """Yield the pixels (...) in the frames at some places, in ascending order, without it."""
+
+
 @dataclass(frozen=True)
 class FrameCorrections:
     """The camera's `response`, a `ghost` of the previous picture, and an ambient light change (`switch`); None if
@@ -55,9 +63,15 @@ class FrameCorrections:
     switch: AmbientLightChange | None = None
 
     @property
+    def in_order(self) -> tuple[Correction, ...]:
+        """Those that there are, in the order in which they are applied."""
+        every = self.response, self.ghost, self.switch
+        return tuple(correction for correction in every if correction is not None)
+
+    @property
     def are_any(self) -> bool:
         """Whether anything is corrected."""
-        return self != FrameCorrections()
+        return bool(self.in_order)
 
     def findings(self, plan: SequencePlan) -> Iterator[Finding]:
         """Yield a warning for each effect that was corrected."""
@@ -92,26 +106,21 @@ class CorrectedFrames:
 
     def read(self, part: Part = WHOLE, places: Sequence[int] | None = None) -> Iterator[Image]:
         """Yield a part of all frames, or of those at some places."""
-        every, ghost, switch = range(len(self.taken)), self.corrections.ghost, self.corrections.switch
-        wanted = every if places is None else places
-        needed = wanted if ghost is None and switch is None else every
-        read = partial(self._without_ghost, part, needed)
-        corrected = read() if switch is None else without_change(read, self.plan, switch)
-        return (image for place, image in zip(needed, corrected, strict=True) if place in wanted)
+        rows = np.arange(self.taken.shape[1])[part[0]]
+        rows = rows[:, None] if isinstance(part[0], slice) else rows
+
+        def read(chosen: Sequence[int]) -> Iterator[Image]:
+            return (self.taken[place][part] for place in chosen)
+
+        frames = PartOfFrames(self.plan, rows, read)
+        for correction in self.corrections.in_order:
+            frames = replace(frames, read=partial(correction.apply, frames))
+        return frames.read(range(len(self.taken)) if places is None else places)
 
     def sampled(self) -> Samples:
         """Return samples of the frames."""
         shape = self.taken.shape[1], self.taken.shape[2]
         return Samples.read(self.plan, shape, self.read, neighbours=needs_neighbours(self.plan))
-
-    def _without_ghost(self, part: Part, places: Sequence[int]) -> Iterator[Image]:
-        response, ghost = self.corrections.response, self.corrections.ghost
-        parts = (self.taken[place][part] for place in places)
-        light = parts if response is None else map(response.light_of, parts)
-        if ghost is None:
-            return light
-        rows = np.arange(self.taken.shape[1])[part[0]]
-        return without_ghost(light, ghost, rows[:, None] if isinstance(part[0], slice) else rows)
 
 
 def estimate_corrections(stack: FrameStack) -> FrameCorrections:

@@ -9,7 +9,7 @@ levels. Subtracting the right share removes the contradiction. Steps of fringes 
 which leaves little of it.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import TRIAL_PIXELS, Floats32, Image, evenly_spread
 from scanner.decoding.corrections.gains import TAILS
-from scanner.decoding.light import ConstraintSet, residual_of_gains, saturation_level
+from scanner.decoding.light import ConstraintSet, PartOfFrames, residual_of_gains, saturation_level
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, HALF, MAJORITY
 
@@ -69,31 +69,28 @@ class Ghost:
         odd = self.share if self.of_odd_rows is None else self.of_odd_rows
         return np.where(rows % 2, odd, self.share).astype(np.float32)
 
+    def apply(self, frames: PartOfFrames, places: Sequence[int]) -> Iterator[Image]:
+        """Yield the frames (...) at some places without the ghost; if it is in all frames alike, they stay darker by
+        the factor 1 − g.
 
-def without_ghost(frames: Iterable[Image], ghost: Ghost, rows: NDArray[np.int64]) -> Iterator[Image]:
-    """Yield the frames (N, ...) of a capture without the ghost; if it is in all frames alike, they stay darker by the
-    factor 1 − g.
-
-    `rows` (...): numbers of the image rows.
-
-    Clipped pixels are unchanged. The picture before the first frame is taken as dark; if rows differ, as the first one.
-    """
-    before: Floats32 | None = None
-    is_even = ghost.place is None and ghost.of_odd_rows is None
-    for place, frame in enumerate(frames):
-        if ghost.place is not None and place not in (ghost.place - 1, ghost.place):
-            yield frame
-            continue
-        without = frame.astype(np.float32)
-        if before is not None:
-            share = ghost.of_rows(rows)
-            without -= share * before if not is_even else share / (1 - share) * before
-            # Restore the brightness of the other frames, or rows.
-            without *= np.float32(1) if is_even else 1 / (1 - share)
-        before = without
-        result = cast(Image, np.rint(np.clip(without, 0, np.iinfo(frame.dtype).max)).astype(frame.dtype))
-        np.copyto(result, frame, where=frame >= saturation_level(frame))
-        yield result
+        Clipped pixels are unchanged. The picture before the first frame is taken as dark; if rows differ, as the first.
+        """
+        before: Floats32 | None = None
+        is_even = self.place is None and self.of_odd_rows is None
+        for place, frame in enumerate(frames.read(range(len(frames.plan.shown)))):
+            if self.place is None or place in (self.place - 1, self.place):
+                without = frame.astype(np.float32)
+                if before is not None:
+                    share = self.of_rows(frames.rows)
+                    without -= share * before if not is_even else share / (1 - share) * before
+                    # Restore the brightness of the other frames, or rows.
+                    without *= np.float32(1) if is_even else 1 / (1 - share)
+                before = without
+                result = cast(Image, np.rint(np.clip(without, 0, np.iinfo(frame.dtype).max)).astype(frame.dtype))
+                np.copyto(result, frame, where=frame >= saturation_level(frame))
+                frame = result
+            if place in places:
+                yield frame
 
 
 def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64]) -> Ghost | None:

@@ -1,6 +1,6 @@
 """Grey levels: samples of the frames, their noise, brightness and exposure, and what the light of all must satisfy."""
 
-from scanner.decoding.light.ambient_light_change import AmbientLightChange, is_suspected, without_change
+from scanner.decoding.light.ambient_light_change import AmbientLightChange, is_suspected
 from scanner.decoding.light.brightness import (
     BANDS,
     LEAST_DIFFERENCE,
@@ -32,4 +32,4 @@ from scanner.decoding.light.frame_checks import (
     check_frames,
     suspected,
 )
-from scanner.decoding.light.samples import MOST_ALONG, TILE_PX, GridSample, Sample, Samples, TileSample
+from scanner.decoding.light.samples import MOST_ALONG, TILE_PX, GridSample, PartOfFrames, Sample, Samples, TileSample

@@ -5,7 +5,7 @@ one frame on they all deviate with the same sign. If only fringes tell, their su
 their mean is the same share of white everywhere, known from the frames before the change.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats32, Image, median, medians
 from scanner.decoding.light.constraints import ConstraintSet, LitSample
+from scanner.decoding.light.samples import PartOfFrames
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEW, HALF, NEGLIGIBLE
 
@@ -52,33 +53,29 @@ class AmbientLightChange:
         result[self.frame :] -= self.light(levels)
         return result
 
+    def apply(self, frames: PartOfFrames, places: Sequence[int]) -> Iterator[Image]:
+        """Yield the frames (...) at some places without the change, from two readings of all of them."""
+        plan, every = frames.plan, range(len(frames.plan.shown))
+        light: NDArray[Any] | None = None
+        for place, frame in enumerate(frames.read(every)):
+            number = plan.shown[place]
+            if place == plan.shown.index(number):
+                total, kept = (frame, 0) if light is None else (light, 1)
+                weight = float(self.weights[number])
+                light = cv2.addWeighted(total, kept, frame, weight, 0, dtype=cv2.CV_32F).reshape(frame.shape)
+        begin = plan.shown.index(self.frame)
+        for place, frame in enumerate(frames.read(every)):
+            depth = cv2.CV_8U if frame.dtype == np.uint8 else cv2.CV_16U
+            if light is not None and place >= begin:
+                frame = cast(Image, cv2.subtract(frame, light, dtype=depth)).reshape(frame.shape)
+            if place in places:
+                yield frame
+
     def description(self, plan: SequencePlan) -> str:
         """Return a clause for the operator."""
         direction = "on" if self.share > 0 else "off"
         when = plan.name(self.frame) if self.beside is None else f"{plan.name(self.frame)} or {plan.name(self.beside)}"
         return f"light of {abs(self.share):.0%} of the pattern's was switched {direction} before {when}"
-
-
-def without_change(
-    frames: Callable[[], Iterable[Image]], plan: SequencePlan, switch: AmbientLightChange
-) -> Iterator[Image]:
-    """Yield the frames (...) of a capture, which are read twice in the order in which they were shown, without the
-    change.
-    """
-    light: NDArray[Any] | None = None
-    for place, frame in enumerate(frames()):
-        number = plan.shown[place]
-        if place == plan.shown.index(number):
-            total, kept = (frame, 0) if light is None else (light, 1)
-            weight = float(switch.weights[number])
-            light = cv2.addWeighted(total, kept, frame, weight, 0, dtype=cv2.CV_32F).reshape(frame.shape)
-    begin = plan.shown.index(switch.frame)
-    for place, frame in enumerate(frames()):
-        depth = cv2.CV_8U if frame.dtype == np.uint8 else cv2.CV_16U
-        if place < begin or light is None:
-            yield frame
-        else:
-            yield cast(Image, cv2.subtract(frame, light, dtype=depth)).reshape(frame.shape)
 
 
 def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:

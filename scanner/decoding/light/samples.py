@@ -1,6 +1,6 @@
 """Samples of the frames, from which everything but the coordinates is measured: pixels at random, tiles, and a grid."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +17,18 @@ from scanner.decoding.sequence_plan import SequencePlan
 _MOST_PIXELS = 16384  # at random, so that a hundred are left in 1 % of the picture
 TILE_PX, MOST_ALONG = 10, 24  # size of a tile; largest number of tiles along each side of the image
 _MOST_OF_GRID = 224  # pixels along the longer side: smaller objects affect few matches
+
+
+@dataclass(frozen=True)
+class PartOfFrames:
+    """The same pixels of all frames of a capture."""
+
+    plan: SequencePlan
+    """Of the capture."""
+    rows: Ints
+    """(...): the image rows of the pixels, in a shape that fits theirs."""
+    read: Callable[[Sequence[int]], Iterator[Image]]
+    """Yields the pixels (...) in the frames at some places, in ascending order."""
 
 
 class Sample:

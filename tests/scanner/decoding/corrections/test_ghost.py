@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from calib.numerics import Image
-from scanner.decoding.corrections.ghost import Ghost, without_ghost
+from scanner.decoding import FrameCorrections, plan_sequence
+from scanner.decoding.corrections import CorrectedFrames
+from scanner.decoding.corrections.ghost import Ghost
 from scanner.patterns import PRESETS, Gray, Pattern, sequence_for
 from tests.support.findings import the_only
 from tests.support.synthetic_capture import Scene, corrections_to, decode, fringes
@@ -42,7 +44,8 @@ def test_ghosting_is_detected_and_corrected(sequence: str, share: float) -> None
     assert found is not None
     assert found.place is None
     assert share - 0.02 < found.share < share + 0.02
-    without = [*without_ghost(np.array(frames, np.uint8), found, np.arange(SCENE.camera[1])[:, None])]
+    plan = plan_sequence(patterns, SCENE.projector)
+    without = [*CorrectedFrames(plan, np.array(frames, np.uint8), FrameCorrections(ghost=found)).read()]
     assert ghost_of(patterns, without) is None
     decoding = decode(patterns, frames, SCENE.projector)
     limit = 0.4 if sequence == "gray" else 0.08
