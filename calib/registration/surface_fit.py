@@ -188,6 +188,12 @@ def holds(judged: SurfacePose) -> bool:
     return judged.share > _LEAST_SHARE and judged.agreeing > _LEAST_CELLS and max(judged.overlap) > _LEAST_OVERLAP
 
 
+def needs_mirror_test(judged: SurfacePose) -> bool:
+    """Whether a pose is hardly more than walls that coincide, or contradicted by more than chance."""
+    by_chance = _BY_CHANCE + _SURE * np.sqrt(_BY_CHANCE) + 1.0
+    return not judged.shows_more_than_bounds or bool(judged.contradicting / _CLUSTER > by_chance)
+
+
 def is_rival(one: SurfacePose, other: SurfacePose) -> bool:
     """Whether a pose explains about as much as another or more."""
     return one.agreeing > _RIVAL_CELLS * other.agreeing

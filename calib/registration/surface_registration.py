@@ -28,6 +28,7 @@ from calib.registration.surface_fit import (
     holds,
     is_rival,
     judge,
+    needs_mirror_test,
     position_jacobian,
     surpasses,
     worth,
@@ -184,7 +185,7 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool, check_mirrored: b
             are_apart(rival.judged, other, points / best.sides.scale, tolerance) for other in (whole, *alternatives)
         ):
             alternatives.append(rival.judged)
-    if check_mirrored and not alternatives and not whole.shows_more_than_bounds and max(whole.overlap) < _WHOLE:
+    if check_mirrored and not alternatives and max(whole.overlap) < _WHOLE and needs_mirror_test(ordered[0].judged):
         alternatives = _mirrored_rivals(ordered[0], with_scale=with_scale)
     if alternatives:
         return replace(made, alignment=Alignment.AMBIGUOUS, alternatives=tuple(alternatives))
@@ -197,15 +198,20 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool, check_mirrored: b
 def _mirrored_rivals(best: _Candidate, *, with_scale: bool) -> list[SurfacePose]:
     """Poses of the second surface's mirror image that fit as well as the best one.
 
-    No motion maps a scene onto its mirror image. Where the image fits as well, what coincides does not tell whether
-    both surfaces are of one scene, or of two with like walls.
+    No motion maps a scene onto its mirror image. Where nothing but bounds coincides and the image fits as well, or
+    where the image is less contradicted, it is not told whether both surfaces are of one scene, or of two with like
+    walls. A thing that is its own mirror image is no such case.
     """
+    whole = best.judged
     sides = replace(best.sides, second=best.sides.second.mirrored)
     found = _uncontradicted(_refined(sides, None, with_scale=with_scale))
     return [
         replace(each.judged, is_mirrored=True)
         for each in found
-        if holds(each.judged) and is_rival(each.judged, best.judged) and not surpasses(best.judged, each.judged)
+        if holds(each.judged)
+        and is_rival(each.judged, whole)
+        and not surpasses(whole, each.judged)
+        and (surpasses(each.judged, whole) or not whole.shows_more_than_bounds)
     ]
 
 
