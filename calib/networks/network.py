@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.geometry import PER_PLANE, PER_POSE, Plane, Pose, Size, depths_of_rays, project, unproject
-from calib.numerics import Floats
+from calib.geometry import PER_PLANE, PER_POSE, Plane, Pose, Size, depths_of_rays, project_into, unproject_into
+from calib.numerics import Floats, compiled
 from calib.refinement import PER_DEVICE, moved_device
 
 PER_WARP = 4
@@ -26,6 +26,9 @@ PER_NODE = PER_DEVICE + PER_POSE + PER_WARP
 POSE, PLACE = slice(PER_DEVICE, PER_DEVICE + PER_POSE), slice(PER_DEVICE + 3, PER_DEVICE + PER_POSE)
 WARP = slice(PER_DEVICE + PER_POSE, PER_NODE)  # all of a device's own columns
 _STEP = 1e-5  # of every column, for central differences
+
+# Lens (8,), warp (4,), width and height (2,), rotation (3, 3) and translation (3,) of its pose.
+DeviceNumbers = tuple[Floats, Floats, Floats, Floats, Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,41 +53,88 @@ class Device:
 
     def rays(self, pixels: Floats) -> tuple[Floats, Floats, Floats]:
         """Through pixels (N, 2), (N, 3) at z = 1; derivatives by the lens (N, 3, 8) and by the warp (N, 3, 4)."""
-        square: Floats = pixels - self._middle
-        back: Floats = np.broadcast_to(np.eye(2), (len(pixels), 2, 2))
-        if self.warp.any():
-            back = np.linalg.inv(self._affine - square[:, :, None] * self._lean).astype(np.float64)
-            square = np.einsum("nij,nj->ni", back, square)
-        rays, by_lens = unproject(self.lens, self._middle + square)
-        by_lean = square[:, :, None] * square[:, None] / self.size
-        by_warp = by_lens[:, :, 1:3] @ np.concatenate([back[:, :, :1] * square[:, None], -by_lean], axis=2)
+        count = len(pixels)
+        rays, by_lens, by_warp = np.empty((count, 3)), np.zeros((count, 3, PER_DEVICE)), np.zeros((count, 3, PER_WARP))
+        rays_into(self.lens, self.warp, self._sides, np.ascontiguousarray(pixels, np.float64), rays, by_lens, by_warp)
         return rays, by_lens, by_warp
 
     def pixels(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Of points (N, 3) in its frame, (N, 2); derivatives by the point (N, 2, 3), lens and warp, as above."""
-        pixels, by_point, by_lens = project(self.lens, points)
-        square = pixels - self._middle
-        lengthened = (1 + square @ self._lean)[:, None]
-        off = square @ self._affine.T / lengthened
-        by_warp = np.zeros((len(points), 2, PER_WARP))
-        by_warp[:, 0, :2] = square / lengthened
-        by_warp[:, :, 2:] = -off[:, :, None] * (square / self.size / lengthened)[:, None]
-        if self.warp.any():
-            by_square = (self._affine - off[:, :, None] * self._lean) / lengthened[:, :, None]
-            by_point, by_lens = by_square @ by_point, by_square @ by_lens
-        return self._middle + off, by_point, by_lens, by_warp
+        count = len(points)
+        pixels, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
+        by_lens, by_warp = np.zeros((count, 2, PER_DEVICE)), np.zeros((count, 2, PER_WARP))
+        before = np.ascontiguousarray(points, np.float64)
+        pixels_into(self.lens, self.warp, self._sides, before, pixels, by_point, by_lens, by_warp)
+        return pixels, by_point, by_lens, by_warp
 
     @property
-    def _middle(self) -> Floats:
-        return (np.array(self.size) - 1) / 2
+    def numbers(self) -> DeviceNumbers:
+        """What compiled functions take."""
+        return self.lens, self.warp, self._sides, np.ascontiguousarray(self.pose.rotation), self.pose.translation
 
     @property
-    def _affine(self) -> Floats:
-        return np.array([[1 + self.warp[0], self.warp[1]], [0.0, 1.0]])
+    def _sides(self) -> Floats:
+        return np.array(self.size, np.float64)
 
-    @property
-    def _lean(self) -> Floats:
-        return self.warp[2:] / self.size
+
+@compiled
+def rays_into(
+    lens: Floats, warp: Floats, sides: Floats, pixels: Floats, rays: Floats, by_lens: Floats, by_warp: Floats
+) -> None:
+    """`Device.rays`, into empty `rays` and zeros."""
+    width, height = sides
+    lean_x, lean_y = warp[2] / width, warp[3] / height
+    square, back, unwarped = np.empty((len(pixels), 2)), np.empty((len(pixels), 2, 2)), np.empty((len(pixels), 2))
+    for i in range(len(pixels)):
+        x, y = pixels[i, 0] - (width - 1) / 2, pixels[i, 1] - (height - 1) / 2
+        # d from A d / (1 + lean · d) = (x, y): (A − (x, y) leanᵀ) d = (x, y).
+        a, b, c, d = 1 + warp[0] - x * lean_x, warp[1] - x * lean_y, -y * lean_x, 1 - y * lean_y
+        determinant = a * d - b * c
+        back[i, 0, 0], back[i, 0, 1] = d / determinant, -b / determinant
+        back[i, 1, 0], back[i, 1, 1] = -c / determinant, a / determinant
+        square[i, 0], square[i, 1] = back[i, 0, 0] * x + back[i, 0, 1] * y, back[i, 1, 0] * x + back[i, 1, 1] * y
+        unwarped[i, 0], unwarped[i, 1] = square[i, 0] + (width - 1) / 2, square[i, 1] + (height - 1) / 2
+    unproject_into(lens, unwarped, rays, by_lens)
+    for i in range(len(pixels)):
+        x, y = square[i]
+        for k in range(2):
+            by_x, by_y = by_lens[i, k, 1], by_lens[i, k, 2]  # by the centre, opposite to those by the pixel
+            affine, lean = by_x * back[i, 0, 0] + by_y * back[i, 1, 0], by_x * x + by_y * y
+            by_warp[i, k, 0], by_warp[i, k, 1] = affine * x, affine * y
+            by_warp[i, k, 2], by_warp[i, k, 3] = -lean * x / width, -lean * y / height
+
+
+@compiled
+def pixels_into(
+    lens: Floats,
+    warp: Floats,
+    sides: Floats,
+    points: Floats,
+    pixels: Floats,
+    by_point: Floats,
+    by_lens: Floats,
+    by_warp: Floats,
+) -> None:
+    """`Device.pixels`, into empty `pixels` and `by_point`, and zeros."""
+    project_into(lens, points, pixels, by_point, by_lens)
+    width, height = sides
+    lean_x, lean_y = warp[2] / width, warp[3] / height
+    is_warped = warp[0] != 0 or warp[1] != 0 or warp[2] != 0 or warp[3] != 0
+    for i in range(len(points)):
+        x, y = pixels[i, 0] - (width - 1) / 2, pixels[i, 1] - (height - 1) / 2
+        lengthened = 1 + x * lean_x + y * lean_y
+        off = (((1 + warp[0]) * x + warp[1] * y) / lengthened, y / lengthened)
+        by_warp[i, 0, 0], by_warp[i, 0, 1] = x / lengthened, y / lengthened
+        for k in range(2):
+            by_warp[i, k, 2], by_warp[i, k, 3] = -off[k] * x / width / lengthened, -off[k] * y / height / lengthened
+        pixels[i, 0], pixels[i, 1] = off[0] + (width - 1) / 2, off[1] + (height - 1) / 2
+        if is_warped:
+            a, b = (1 + warp[0] - off[0] * lean_x) / lengthened, (warp[1] - off[0] * lean_y) / lengthened
+            c, d = -off[1] * lean_x / lengthened, (1 - off[1] * lean_y) / lengthened
+            for by in (by_point[i], by_lens[i]):
+                for column in range(by.shape[1]):
+                    first, second = by[0, column], by[1, column]
+                    by[0, column], by[1, column] = a * first + b * second, c * first + d * second
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.estimation import Cells, Problem
-from calib.geometry import PER_PLANE, Matches, Plane, Pose, Size, cross_matrix, tangent_basis, unproject
-from calib.networks.network import PER_NODE, PER_WARP, WARP, Device, Network
+from calib.geometry import PER_PLANE, Matches, Plane, Pose, Size, tangent_basis, unproject
+from calib.networks.network import PER_NODE, Device, DeviceNumbers, Network, pixels_into, rays_into
 from calib.networks.raster import ImageRaster, SeenAt, depths
 from calib.networks.shared_points import SharedPoints, shared_points
-from calib.numerics import Bools, Floats, Ints
-from calib.refinement import PER_DEVICE
+from calib.numerics import Bools, Floats, Ints, compiled
 
 PER_SIGHT = 2 * PER_NODE + PER_PLANE
-_AXES = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,35 +55,85 @@ class PlaneObservation:
         """
         camera, projector = network.devices[self.camera], network.devices[self.projector]
         plane = network.planes[self.plane]
-        rays, by_lens, by_warp = camera.rays(self.cells.camera_px if camera_px is None else camera_px)
-        along, depth = _meet(rays, camera.pose, plane)
-        off = along * plane.offset_from(camera.pose.translation)
-        points = off + camera.pose.translation
-        onto = np.eye(3) - along[:, :, None] * plane.normal
-        tilts = -along[:, :, None] * (points @ tangent_basis(plane.normal))[:, None]
-        onto_plane = depth[:, None, None] * (onto @ camera.pose.rotation)
-        moved = np.concatenate(
-            [
-                onto_plane @ by_lens,
-                -onto @ cross_matrix(off),
-                onto,
-                onto_plane @ by_warp,
-                np.zeros((len(rays), 3, PER_DEVICE)),
-                cross_matrix(points - projector.pose.translation),
-                np.broadcast_to(-_AXES, onto.shape),
-                np.zeros((len(rays), 3, PER_WARP)),
-                tilts,
-                along[:, :, None],
-            ],
-            axis=2,
-        )
-        before = projector.pose.undo(points)
-        pixels, by_point, by_lens, by_warp = projector.pixels(before)
-        jacobian = by_point @ (projector.pose.rotation.T @ moved)
-        of_projector = jacobian[:, :, PER_NODE:]
-        of_projector[:, :, :PER_DEVICE] += by_lens
-        of_projector[:, :, WARP] += by_warp
-        return pixels, jacobian, np.stack([depth, before[:, 2]], axis=1)
+        pixels = np.ascontiguousarray(self.cells.camera_px if camera_px is None else camera_px, np.float64)
+        return _reproject(camera.numbers, projector.numbers, plane.normal, plane.offset, pixels)
+
+
+@compiled
+def _reproject(
+    camera: DeviceNumbers, projector: DeviceNumbers, normal: Floats, offset: float, camera_px: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """`PlaneObservation.predict`."""
+    count = len(camera_px)
+    camera_lens, camera_warp, camera_sides, turn, centre = camera
+    projector_lens, projector_warp, projector_sides, projector_turn, projector_centre = projector
+    of_device, of_warp = len(camera_lens), len(camera_warp)
+    pose, warp, second = of_device, of_device + 6, of_device + 6 + of_warp
+    tilts = 2 * second
+
+    rays, rays_by_lens, rays_by_warp = (
+        np.empty((count, 3)),
+        np.zeros((count, 3, of_device)),
+        np.zeros((count, 3, of_warp)),
+    )
+    rays_into(camera_lens, camera_warp, camera_sides, camera_px, rays, rays_by_lens, rays_by_warp)
+    along, off, before, depths = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 2))
+    distance = offset - _dot(normal, centre)
+    for i in range(count):
+        for k in range(3):
+            along[i, k] = _dot(turn[k], rays[i])
+        facing = _dot(along[i], normal)
+        depths[i, 0] = distance / facing
+        for k in range(3):
+            along[i, k] /= facing
+            off[i, k] = along[i, k] * distance
+        for k in range(3):
+            before[i, k] = 0.0
+            for c in range(3):
+                before[i, k] += projector_turn[c, k] * (off[i, c] + centre[c] - projector_centre[c])
+        depths[i, 1] = before[i, 2]
+
+    pixels, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
+    by_lens, by_warp = np.zeros((count, 2, of_device)), np.zeros((count, 2, of_warp))
+    pixels_into(projector_lens, projector_warp, projector_sides, before, pixels, by_point, by_lens, by_warp)
+
+    jacobian = np.empty((count, 2, tilts + 3))
+    basis, by, onto, by_ray, point = tangent_basis(normal), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(count):
+        for k in range(3):
+            point[k] = off[i, k] + centre[k]
+        for k in range(2):
+            row = jacobian[i, k]
+            for c in range(3):
+                by[c] = _dot(by_point[i, k], projector_turn[c])
+            slid = _dot(by, along[i])
+            for c in range(3):
+                onto[c] = by[c] - slid * normal[c]
+            for c in range(3):
+                by_ray[c] = depths[i, 0] * (onto[0] * turn[0, c] + onto[1] * turn[1, c] + onto[2] * turn[2, c])
+            for c in range(of_device):
+                row[c] = by_ray[0] * rays_by_lens[i, 0, c] + by_ray[1] * rays_by_lens[i, 1, c]
+                row[second + c] = by_lens[i, k, c]
+            for c in range(of_warp):
+                row[warp + c] = by_ray[0] * rays_by_warp[i, 0, c] + by_ray[1] * rays_by_warp[i, 1, c]
+                row[second + warp + c] = by_warp[i, k, c]
+            for c in range(3):
+                u, v = (c + 1) % 3, (c + 2) % 3
+                row[pose + c] = off[i, u] * onto[v] - off[i, v] * onto[u]
+                row[pose + 3 + c] = onto[c]
+                from_projector_u, from_projector_v = point[u] - projector_centre[u], point[v] - projector_centre[v]
+                row[second + pose + c] = by[u] * from_projector_v - by[v] * from_projector_u
+                row[second + pose + 3 + c] = -by[c]
+            for c in range(2):
+                row[tilts + c] = -slid * (point[0] * basis[0, c] + point[1] * basis[1, c] + point[2] * basis[2, c])
+            row[tilts + 2] = slid
+    return pixels, jacobian, depths
+
+
+@compiled
+def _dot(a: Floats, b: Floats) -> float:
+    dot: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return dot
 
 
 NetworkProblem = Problem[Network, PlaneObservation]
