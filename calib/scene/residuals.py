@@ -5,7 +5,7 @@ finding a keypoint; its projector pixel, given that camera pixel, has the decode
 tell how far the rays of both devices pass each other (Hartley & Zisserman, 2nd ed., chapters 11 and 18).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,16 +27,28 @@ class Residuals:
 
     values: Floats
     """(M, 4), in sigmas."""
-    by_rig: Floats
-    """(M, 4, 21): derivatives by the rig's columns."""
-    by_station: Floats
-    """(M, 4, 6 or 8): derivatives by the motion of the observation's station and, if estimated, by its shift."""
     by_point: Floats
     """(M, 4, 3): derivatives by its point."""
+    derive: Callable[[], tuple[Floats, Floats]]
+    """Makes `by_rig` and `by_station`, which points alone do without."""
     columns: SceneColumns
     """Those of the scene."""
     behind: int
     """How many are behind a device."""
+
+    @property
+    def by_rig(self) -> Floats:
+        """(M, 4, 21): derivatives by the rig's columns."""
+        return self._derived[0]
+
+    @property
+    def by_station(self) -> Floats:
+        """(M, 4, 6 or 8): derivatives by the motion of the observation's station and, if estimated, by its shift."""
+        return self._derived[1]
+
+    @cached_property
+    def _derived(self) -> tuple[Floats, Floats]:
+        return self.derive()
 
     @cached_property
     def lengths(self) -> Floats:
@@ -136,36 +148,33 @@ def residuals_of(scene: RigidScene, seen: SceneObservations, spread: ErrorScales
     ahead_camera, ahead_projector = (np.where(behind[:, None], [0.0, 0.0, 1.0], x) for x in (at_camera, at_projector))
     camera_px, by_seen, by_camera = lens.project(rig.camera, ahead_camera)
     projector_px, by_lit, by_projector = lens.project(rig.projector, ahead_projector)
-    count = len(seen.point)
-    residual, by_rig = np.empty((count, _ROWS)), np.zeros((count, _ROWS, SHARED))
-    by_place = np.empty((count, _ROWS, 3))  # in the station's camera frame
+    residual = np.empty((len(seen.point), _ROWS))
+    by_place = np.empty((len(residual), _ROWS, 3))  # in the station's camera frame
     on_camera, slope = camera_px - seen.camera_px, seen.slope
     residual[:, :2] = on_camera
     if scene.shift_px is not None:
         projector_px = projector_px + scene.shift_px[seen.station]
     residual[:, 2:] = projector_px - seen.projector_px - np.einsum("mij,mj->mi", slope, on_camera)
     by_place[:, :2], by_place[:, 2:] = by_seen, by_lit @ pose.rotation - slope @ by_seen
-    by_rig[:, :2, CAMERA], by_rig[:, 2:, CAMERA] = by_camera, -slope @ by_camera
-    by_rig[:, 2:, PROJECTOR] = by_projector
-    by_rig[:, 2:, ROTATION] = -by_lit @ cross_matrix(pose.rotate(ahead_camera))
-    by_rig[:, 2:, TRANSLATION] = by_lit @ pose.by_direction
     keypoint_px = np.where(seen.is_located, spread.keypoint, 1.0) * seen.keypoint_px
     sigma = np.stack([keypoint_px] * 2 + [spread.lifted * seen.sigma_px] * 2, axis=1)
     root = np.where(behind[:, None], 0.0, 1 / sigma)
     by_place *= root[..., None]
-    by_rig *= root[..., None]
-    by_station = [-by_place @ cross_matrix(turned), by_place]
-    if scene.shift_px is not None:
-        by_station.append(root[..., None] * np.eye(_ROWS)[:, 2:])
+
+    def derive() -> tuple[Floats, Floats]:
+        by_rig = np.zeros((len(residual), _ROWS, SHARED))
+        by_rig[:, :2, CAMERA], by_rig[:, 2:, CAMERA] = by_camera, -slope @ by_camera
+        by_rig[:, 2:, PROJECTOR] = by_projector
+        by_rig[:, 2:, ROTATION] = -by_lit @ cross_matrix(pose.rotate(ahead_camera))
+        by_rig[:, 2:, TRANSLATION] = by_lit @ pose.by_direction
+        by_rig *= root[..., None]
+        by_station = [-by_place @ cross_matrix(turned), by_place]
+        if scene.shift_px is not None:
+            by_station.append(root[..., None] * np.eye(_ROWS)[:, 2:])
+        return by_rig, np.concatenate(by_station, axis=2)
+
     by_point = by_place @ stations.rotation
-    return Residuals(
-        root * residual,
-        by_rig,
-        np.concatenate(by_station, axis=2),
-        by_point,
-        scene.columns,
-        int(np.count_nonzero(behind)),
-    )
+    return Residuals(root * residual, by_point, derive, scene.columns, int(np.count_nonzero(behind)))
 
 
 def missed(rig: State, matches: Matches, scale: float) -> tuple[Floats, Floats, Floats]:
