@@ -122,6 +122,8 @@ def compare_surfaces(
         raise InputError(f"--unit: expected one of {', '.join(METRES)}, found '{unit}'")
     second, first = read_compared(result), read_compared(reference)
     stated = unit or first.unit
+    if tolerance is not None:
+        _tolerance(tolerance, stated or second.unit or NO_UNIT)  # what is none in any unit, before what takes seconds
     scales = _scales(first, second, stated, scale_free=scale_free)
     with_scale = scale_free or UNKNOWN_UNIT in (second.unit, first.unit)
     one, other = first.sampled(), second.sampled()

@@ -2,12 +2,14 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from calib.deferred_imports import open3d
-from scanner.comparing import Conformity, compare_surfaces
+from scanner.commands import compare
+from scanner.comparing import Conformity, SurfaceComparison, compare_surfaces
 from scanner.exporting import FORMATS, ExportRequest
 from scanner.io import read_surface
 from tests.support.blob import Blob
@@ -30,7 +32,25 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_dent_is_found_and_measured(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture
+def comparisons(monkeypatch: pytest.MonkeyPatch) -> list[SurfaceComparison]:
+    """What the command compares, one after the other."""
+    found: list[SurfaceComparison] = []
+
+    def kept(*arguments: Any, **named: Any) -> SurfaceComparison:
+        found.append(compare_surfaces(*arguments, **named))
+        return found[-1]
+
+    monkeypatch.setattr(compare, "compare_surfaces", kept)
+    return found
+
+
+def test_a_dent_is_found_and_measured(
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    comparisons: list[SurfaceComparison],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     arguments = ("--unit", "mm", "--tolerance", "0.1mm", "--out", folder / "out")
     assert run("compare", folder / "dented.ply", folder / "cad.stl", *arguments) == 1
     told = " ".join(capsys.readouterr().out.split())
@@ -58,27 +78,26 @@ def test_a_dent_is_found_and_measured(folder: Path, capsys: pytest.CaptureFixtur
     assert page.count("<img") == 3
     assert 'section class="verdict refused"' in page
     assert run("compare", folder / "dented.ply", folder / "cad.stl", *arguments) == 2
+    monkeypatch.setattr(compare, "compare_surfaces", lambda *_, **__: comparisons[0])
     allowed = ("--unit", "mm", "--tolerance", "0.1mm", "--allow", "--quiet")
     assert run("compare", folder / "dented.ply", folder / "cad.stl", *allowed) == 0
 
 
-def test_a_sound_part_passes_and_has_no_region(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sound_part_passes_and_has_no_region(
+    folder: Path, capsys: pytest.CaptureFixture[str], comparisons: list[SurfaceComparison]
+) -> None:
     assert run("compare", folder / "sound.ply", folder / "cad.stl", "--unit", "mm", "--tolerance", "0.1mm") == 0
     told = capsys.readouterr().out
     assert "✓ Pass" in told
     assert "Region" not in told
+    assert not comparisons[0].regions
     assert run("compare", folder / "sound.ply", folder / "cad.stl", "--unit", "mm", "--tolerance", "0.005mm") == 4
     assert "Not decidable with this scan" in capsys.readouterr().out
-
-
-def test_the_sigma_of_a_point_is_what_it_is_off(folder: Path) -> None:
-    comparison = compare_surfaces(folder / "sound.ply", folder / "cad.stl", unit="mm")
-    assert comparison.measured is not None
-    there = comparison.measured.there
-    assert there.mean() > 0.99
-    assert 0.8 < np.std(comparison.compared / comparison.measured.sigma[there]) < 1.3
-    assert comparison.test is None
-    assert not comparison.regions
+    # The sigma of a point is what it is off.
+    measured = comparisons[1].measured
+    assert measured is not None
+    assert measured.there.mean() > 0.99
+    assert 0.8 < np.std(comparisons[1].compared / measured.sigma[measured.there]) < 1.3
 
 
 def test_the_unit_of_a_mesh_is_found(folder: Path) -> None:
