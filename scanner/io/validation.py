@@ -107,8 +107,9 @@ def _suggestion(key: str, model: type[BaseModel], location: Sequence[int | str])
     if key in known_keys(model):
         return "it belongs to another kind of this section"
     known = list(dict.fromkeys(known_keys(model, kinds=location)))
-    likeness = {candidate: max(_alike(key, candidate), _alike(_leaf(key), _leaf(candidate))) for candidate in known}
-    best = max(known, key=lambda candidate: (likeness[candidate], _alike(key, candidate)))
+    whole = {candidate: _alike(key, candidate) for candidate in known}
+    likeness = {candidate: max(alike, _alike(_leaf(key), _leaf(candidate))) for candidate, alike in whole.items()}
+    best = max(known, key=lambda candidate: (likeness[candidate], whole[candidate]))
     if likeness[best] >= _SIMILAR:
         return f"did you mean '{best}'?"
     parent = key.rpartition(".")[0]

@@ -85,6 +85,8 @@ def test_a_misspelt_key_at_any_depth_names_the_right_one(tmp_path: Path, backend
     keys = list(dict.fromkeys(known_keys(Config, kinds=[backend])))
     path, wrong = tmp_path / "room.yaml", []
     for key in keys:
+        if backend == "aravis" and not key.startswith("rig"):
+            continue  # the same as with the other
         *sections, name = key.split(".")
         for spelling in misspelt(name):
             if ".".join([*sections, spelling]) in keys:
