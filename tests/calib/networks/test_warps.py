@@ -40,13 +40,12 @@ def test_a_camera_that_was_turned_between_two_projectors_is_named(seed: int) -> 
 
 
 def test_a_camera_between_two_halves_of_five_devices_is_named() -> None:
-    """Warps of all five pictures have 20 parameters, one move has 6."""
+    """Warps of all five pictures have 20 parameters, one move has 6; unturned, none is named (see waves below)."""
     made = random_network(np.random.default_rng(0), 3, 2, OPTIONS)
     made = replace(made, captures={pair: made.captures[pair] for pair in CHAIN})
     turned = with_turned_camera(made, ("camera2", "projector2"), a_degree(0))
 
     assert estimate_network(turned.captures, sizes_of(made)).warps == Warps(moved="camera2")
-    assert not estimate_network(made.captures, sizes_of(made)).warps
 
 
 def test_a_projector_that_was_turned_between_two_cameras_is_named() -> None:

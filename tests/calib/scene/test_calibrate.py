@@ -13,6 +13,8 @@ from tests.support.things import PROJECTOR, ThingStation, thing_stations, true_r
 
 CAMERA, LARGER_CAMERA, SMALL_CAMERA = (459, 384), (612, 512), (306, 256)
 
+pytestmark = pytest.mark.xdist_group("six sides")  # what they share is made once
+
 
 def calibrated(captures: list[tuple[Matches, Image]], camera: tuple[int, int] = CAMERA) -> SceneCalibration:
     centre = PrincipalPoint(((camera[0] - 1) / 2, (camera[1] - 1) / 2), 0.03 * camera[0])
@@ -23,9 +25,9 @@ def captures_of(stations: list[ThingStation]) -> list[tuple[Matches, Image]]:
     return [(station.matches, station.picture) for station in stations]
 
 
-@pytest.fixture(scope="module")
-def stations() -> list[ThingStation]:
-    return turned_stations(6, CAMERA, seed=0)
+@pytest.fixture
+def stations(six_sides: list[ThingStation]) -> list[ThingStation]:
+    return six_sides
 
 
 def in_sigmas(found: SceneCalibration, station: ThingStation) -> Floats:
@@ -33,8 +35,8 @@ def in_sigmas(found: SceneCalibration, station: ThingStation) -> Floats:
     return np.asarray(error / np.sqrt(np.diag(found.uncertainty.covariance)), np.float64)
 
 
-def test_six_sides_of_a_thing_calibrate_the_rig(stations: list[ThingStation]) -> None:
-    found = calibrated(captures_of(stations))
+def test_six_sides_of_a_thing_calibrate_the_rig(stations: list[ThingStation], of_six_sides: SceneCalibration) -> None:
+    found = of_six_sides
     assert found.stations == (0, 1, 2, 3, 4, 5)
     assert found.points > 100
     ratio = in_sigmas(found, stations[0])
@@ -47,7 +49,7 @@ def test_six_sides_of_a_thing_calibrate_the_rig(stations: list[ThingStation]) ->
 
 def test_turns_about_one_axis_are_refused() -> None:
     with pytest.raises(RefusalError) as refusal:
-        calibrated(captures_of(thing_stations([*range(4)], CAMERA, steps=24)))
+        calibrated(captures_of(thing_stations([*range(4)], SMALL_CAMERA, steps=24)), SMALL_CAMERA)
     assert refusal.value.finding.kind == ONE_AXIS
     assert "Tip the object" in refusal.value.advice
 

@@ -4,33 +4,19 @@ import numpy as np
 import pytest
 
 from calib.refinement import CAMERA, SHARED
-from calib.scene import SceneCalibration, calibrate_scene
+from calib.scene import SceneCalibration
 from calib.scene.covariance import covariance_of_rig
 from calib.scene.residuals import Residuals, residuals_of
-from calib.self_calibration import PrincipalPoint
-from tests.support.things import PROJECTOR, ThingStation, turned_stations
 
-CAMERA_SIZE = (459, 384)
+pytestmark = pytest.mark.xdist_group("six sides")  # what they share is made once
 
 
-def calibrated(stations: list[ThingStation]) -> SceneCalibration:
-    """The calibration by stations."""
-    point = PrincipalPoint(((CAMERA_SIZE[0] - 1) / 2, (CAMERA_SIZE[1] - 1) / 2), 0.03 * CAMERA_SIZE[0])
-    captures = [(station.matches, station.picture) for station in stations]
-    return calibrate_scene(captures, CAMERA_SIZE, PROJECTOR, principal_point=point)
+@pytest.fixture
+def found(of_six_sides: SceneCalibration) -> SceneCalibration:
+    return of_six_sides
 
 
-@pytest.fixture(scope="module")
-def stations() -> list[ThingStation]:
-    return turned_stations(4, CAMERA_SIZE, seed=3)
-
-
-@pytest.fixture(scope="module")
-def found(stations: list[ThingStation]) -> SceneCalibration:
-    return calibrated(stations)
-
-
-@pytest.fixture(scope="module")
+@pytest.fixture
 def residuals(found: SceneCalibration) -> Residuals:
     return residuals_of(found.fit.scene, found.problem.observations, found.problem.spread)
 

@@ -7,7 +7,7 @@ from calib.scene import SceneCalibration, calibrate_scene
 from calib.self_calibration import PrincipalPoint
 from tests.support.things import PROJECTOR, ThingStation, turned_before_camera, turned_stations
 
-CAMERA = (459, 384)
+CAMERA = (306, 256)
 CENTRE = PrincipalPoint(((CAMERA[0] - 1) / 2, (CAMERA[1] - 1) / 2), 0.03 * CAMERA[0])
 
 

