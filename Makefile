@@ -73,8 +73,13 @@ try-browser:
 # while the tests run.
 test: $(VENV)/.core
 	@$(MAKE) --no-print-directory --jobs 3 $(VENV)/.dev $(VENV)/.compiled try-system
-	@$(MAKE) --no-print-directory --jobs 2 try-rig bytecode
-	@$(MAKE) --no-print-directory --jobs 2 unit checks
+	@$(MAKE) --no-print-directory --jobs 3 tests checks
+
+# The checks begin while the last packages are installed and the tests collected.
+.PHONY: tests
+tests:
+	@$(MAKE) --no-print-directory try-rig bytecode
+	@$(MAKE) --no-print-directory unit
 
 # What try-rig needs as well, which says so if it cannot be had.
 .PHONY: try-system

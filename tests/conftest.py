@@ -31,7 +31,8 @@ settings.register_profile("random", deadline=None, print_blob=True)
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.load_profile("same")
 
-_LONGEST = ("loopback", "browser")  # groups of tests
+# Groups of tests.
+_LONGEST = ("loopback", "browser", "rooms", "end to end", "end to end jointly", "faults", "installed package", "words")
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 # In software, and talking to nobody.
 _FLAGS = (
