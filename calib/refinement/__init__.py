@@ -2,7 +2,7 @@
 
 from calib.refinement.alternatives import alternative, averaged
 from calib.refinement.distortion_from_planes import Straightened, straighten
-from calib.refinement.focal_sweep import at_focal, family_of, minima, photo_family, sweep_one, twins
+from calib.refinement.focal_sweep import Family, at_focal, family_of, minima, photo_family, sweep_one, twins
 from calib.refinement.further_planes import depths, with_further_planes
 from calib.refinement.likelihood import (
     SQUARENESS_DEG,

@@ -3,11 +3,5 @@
 from calib.refinement import PrincipalPoint
 from calib.self_calibration.known_calibration import KnownCalibration
 from calib.self_calibration.photos import anywhere, calibrate_photos
-from calib.self_calibration.rig import (
-    Method,
-    Profile,
-    SelfCalibration,
-    paper_trials,
-    self_calibrate,
-    self_calibrate_jointly,
-)
+from calib.self_calibration.result import Method, Profile, SelfCalibration, paper_trials
+from calib.self_calibration.rig import self_calibrate, self_calibrate_jointly

@@ -44,7 +44,7 @@ from calib.refinement import (
     twins,
 )
 from calib.refusal import PHOTOS, TOO_FEW_MATCHES, RefusalError
-from calib.self_calibration.rig import Profile, SelfCalibration, sweep_trials
+from calib.self_calibration.result import Profile, SelfCalibration, sweep_trials
 
 # A photo may be a crop: its principal point may be anywhere in it.
 _CROP_SIGMA_OF_WIDTH = 0.2

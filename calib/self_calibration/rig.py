@@ -1,15 +1,14 @@
 """Matches on three faces → a calibration with its uncertainty, or a refusal with a reason."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from calib.closed_form import Objective, objective_for, search
+from calib.closed_form import objective_for
 from calib.diagnostics import (
     ContradictionError,
-    NextView,
     Uncertainty,
     along_valley,
     best_next_view,
@@ -23,23 +22,15 @@ from calib.diagnostics import (
     sigmas_of,
     uncertainty_of,
 )
-from calib.estimation import Shift, Shifts, into_cells
+from calib.estimation import Cells, Shift, Shifts, into_cells
 from calib.finding import Finding, FindingKind, Severity
-from calib.geometry import (
-    PER_POSE,
-    Calibration,
-    Corner,
-    Intrinsics,
-    Matches,
-    Pose,
-    TooFewMatchesError,
-    before_the_matches,
-)
+from calib.geometry import PER_POSE, Calibration, Matches, TooFewMatchesError, before_the_matches
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     CAMERA,
     ORDINARY_LENSES,
     SHARED,
+    Family,
     Knowledge,
     LensPrior,
     PrincipalPoint,
@@ -57,79 +48,16 @@ from calib.refinement import (
 )
 from calib.refusal import RIG, TOO_FEW_MATCHES, RefusalError
 from calib.self_calibration.known_calibration import KnownCalibration
+from calib.self_calibration.paper_method import calibrate_by_paper
+from calib.self_calibration.result import Method, Profile, SelfCalibration, sweep_trials
 
-Method = Literal["refined", "paper"]
-
-# Trial focals, in units of the longer side of the camera's image: from a 120° to a 14° field of view.
-_SHORTEST, _LONGEST = 0.3, 4.0
-_PAPER_TRIALS, _SWEEP_TRIALS = 64, 24
 _KNOWN_TRIALS, _AROUND_KNOWN, _AROUND_SIGMAS = 5, 0.05, 5.0  # camera focals, where other data determine it
 
-_CLOSED_CYCLE = 0.1  # paper's objective, in camera focals
-
-PAPER_METHOD = FindingKind(
-    "paper-method",
-    "The paper's method models neither lens distortion nor uncertainty; it is meant for comparison.",
-    "Use 'method: refined'.",
-)
-PAPER_FAILED = FindingKind(
-    "paper-failed",
-    "The paper's objective has no minimum, or its transfer between the devices does not close.",
-    "Use 'method: refined', or show all three faces large and at different slants to both devices.",
-)
 WITH_BOARDS = FindingKind(
     "with-boards",
     "Calibrated together with boards of the same rig, with which the captures agree.",
     data=("cost", "limit"),
 )
-
-
-@dataclass(frozen=True)
-class Profile:
-    """The curve searched over the camera's focal length: `focal_px` and `cost` (n,)."""
-
-    focal_px: Floats
-    cost: Floats
-
-
-@dataclass(frozen=True)
-class SelfCalibration:
-    """A calibration found from the corner alone, in units of the baseline (|t| = 1).
-
-    `matches` are labelled with their faces, `corner` is in the camera's frame, `residual_px` is the root mean square
-    reprojection error of a match in the projector, `findings` are for the user. `uncertainty` is None for a
-    method that estimates none. `order_nats`: for captures of one corner, the log likelihood ratio between the numbering
-    of the faces and the next best one, given the corner's angles; 0 where the angles do not distinguish them.
-    Standard deviations of the intrinsics: `at_rest_percent` without shifts of the matches, `likely_percent` from
-    likely shifts alone, `possible_percent` from undetectable shifts; all are part of the sigmas. `known`: the
-    calibration it was combined with, if any. `next_view`: where another capture would help most; None if no view sees
-    the corner or the method does not compute it. `corners_covariance` (21 + 6 n, 21 + 6 n): of the calibration's
-    columns and, for each of n captures, of the rotation of its corner about the camera's axes and the shift of its
-    vertex as a share of its distance.
-    """
-
-    calibration: Calibration
-    matches: Matches
-    corner: Corner
-    profile: Profile
-    residual_px: float
-    method: Method
-    findings: tuple[Finding, ...] = ()
-    uncertainty: Uncertainty | None = None
-    order_nats: float = 0.0
-    at_rest_percent: float = 0.0
-    likely_percent: float = 0.0
-    possible_percent: float = 0.0
-    known: KnownCalibration | None = None
-    next_view: NextView | None = None
-    corners_covariance: Floats | None = None
-
-    @property
-    def metric(self) -> Calibration:
-        """The calibration in the unit of the known calibration; in baselines if there is none or it has no unit."""
-        if self.known is None or self.uncertainty is None:
-            return self.calibration
-        return self.known.metric(self.calibration, self.uncertainty)
 
 
 def _columns_of_corners(state: State) -> Ints:
@@ -164,7 +92,7 @@ def self_calibrate(
     """
     if method == "paper":
         try:
-            return _by_paper(objective_for(matches, principal_point.px), matches, camera_size, projector_size)
+            return calibrate_by_paper(objective_for(matches, principal_point.px), matches, camera_size, projector_size)
         except TooFewMatchesError as error:
             raise _too_few(error) from error
     (calibrated,) = self_calibrate_jointly(
@@ -274,74 +202,6 @@ def _too_few(error: TooFewMatchesError) -> RefusalError:
     return RefusalError(TOO_FEW_MATCHES, f"The corner's faces hold too few matches: {error}.", RIG.move)
 
 
-def paper_trials(camera_size: tuple[int, int]) -> Floats:
-    """The camera focals (n,) that the paper's search samples, for a camera of (width, height)."""
-    return _trials(camera_size, _PAPER_TRIALS)
-
-
-def sweep_trials(camera_size: tuple[int, int]) -> Floats:
-    """The camera focals (n,) at which the refinement starts, for a camera of (width, height)."""
-    return _trials(camera_size, _SWEEP_TRIALS)
-
-
-def _trials(camera_size: tuple[int, int], count: int) -> Floats:
-    return np.geomspace(_SHORTEST * max(camera_size), _LONGEST * max(camera_size), count)
-
-
-def _by_paper(
-    objective: Objective,
-    matches: Matches,
-    camera_size: tuple[int, int],
-    projector_size: tuple[int, int],
-) -> SelfCalibration:
-    solution = search(objective, paper_trials(camera_size))
-    if solution is None:
-        raise no_corner([into_cells(matches)], RIG)
-    low, high = solution.focal_px[1], solution.focal_px[-2]
-    if not low < solution.best_focal_px < high:
-        raise RefusalError(
-            PAPER_FAILED,
-            f"The objective has no minimum for camera focal lengths between {low:.0f} and {high:.0f} px.",
-            RIG.move,
-        )
-    lowest = float(np.min(solution.objective))
-    if lowest > _CLOSED_CYCLE * solution.best_focal_px:
-        raise RefusalError(
-            PAPER_FAILED,
-            f"The transfer between the devices does not close: the objective's minimum is {lowest:.0f} px.",
-            RIG.move,
-        )
-    best = solution.best
-    baseline = float(np.linalg.norm(best.translation[0]))
-    matrix = best.matrix[0]
-    calibration = Calibration(
-        Intrinsics(*camera_size, (solution.best_focal_px,) * 2, objective.principal_point_px),
-        Intrinsics(
-            *projector_size,
-            (float(matrix[0, 0]), float(matrix[1, 1])),
-            (float(matrix[0, 2]), float(matrix[1, 2])),
-        ),
-        Pose(best.rotation[0], best.translation[0] / baseline),
-    )
-    corner, residual_px = before_the_matches(Corner(best.vertex[0] / baseline, best.normals[0]), calibration, matches)
-    return SelfCalibration(
-        calibration,
-        matches,
-        corner,
-        Profile(solution.focal_px, solution.objective),
-        residual_px,
-        "paper",
-        (
-            Finding(
-                PAPER_METHOD,
-                Severity.NOTE,
-                "The paper's method models neither lens distortion nor uncertainty: with ordinary lenses its error is "
-                "several per cent. It is meant for comparison; use the method 'refined' instead.",
-            ),
-        ),
-    )
-
-
 def _by_refinement(
     captures: Sequence[Matches],
     knowledge: Knowledge,
@@ -352,18 +212,7 @@ def _by_refinement(
     known: KnownCalibration | None,
 ) -> tuple[SelfCalibration, ...]:
     plain = [known.with_square_pixels(matches) if known else matches for matches in captures]
-    cells = [into_cells(matches) for matches in plain]
-    families = [family_of(cells_of_capture, knowledge) for cells_of_capture in cells]
-    if len(captures) > 1:
-        vertices = [family.objective.camera_image.vertex for family in families]
-        turned = [
-            is_anticlockwise(cells_of_capture, vertex) for cells_of_capture, vertex in zip(cells, vertices, strict=True)
-        ]
-        cells = [
-            reflected(cells_of_capture) if turn else cells_of_capture
-            for cells_of_capture, turn in zip(cells, turned, strict=True)
-        ]
-        families = [family_of(cells_of_capture, knowledge) for cells_of_capture in cells]
+    cells, families, is_turned = _numbered_alike([into_cells(matches) for matches in plain], knowledge)
     refuse_degenerate(cells, [family.straightened for family in families], RIG)
     trials = sweep_trials(knowledge.camera_size) if known is None else _trials_around(known)
     further = None if planes is None else lambda cells, state: with_further_planes(cells, plain, planes, state)
@@ -372,62 +221,69 @@ def _by_refinement(
         raise no_corner(cells, RIG)
     by_curvature = refinement.covariance
     refinement, _ = _with_shifts(
-        _with_smooth_errors(refinement, shifts), [capture_shifts.decoding for capture_shifts in shifts]
+        _with_smooth_errors(refinement, shifts), [of_capture.decoding for of_capture in shifts]
     )
     at_rest_percent = percent_of_intrinsics(refinement.fit.state, np.sqrt(np.diag(refinement.covariance)))
-    refinement, likely_percent = _with_shifts(refinement, [capture_shifts.likely for capture_shifts in shifts])
+    refinement, likely_percent = _with_shifts(refinement, [of_capture.likely for of_capture in shifts])
     findings: tuple[Finding, ...] = ()
     if known is not None:
         findings = (_on_known(*refuse_contradiction(refinement, known.rig, refinement.covariance - by_curvature)),)
     refuse_untrustworthy(refinement, knowledge)
-    refinement, possible_percent = _with_shifts(refinement, [capture_shifts.possible for capture_shifts in shifts])
-    fit = refinement.fit
-    calibration = calibration_of(
-        fit.state,
-        knowledge.camera_size,
-        knowledge.projector_size,
-        sigmas_of(fit.state, refinement.covariance),
-    )
-    if known is not None:
-        calibration = known.with_own_pixels(calibration)
+    refinement, possible_percent = _with_shifts(refinement, [of_capture.possible for of_capture in shifts])
     next_view = best_next_view(refinement, knowledge)
-    findings += findings_on_solution(refinement, knowledge, next_view)
-    profile = Profile(refinement.valley.focal_px, refinement.valley.posterior_cost)
-    sameness = refinement.sameness
-    order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
-    along = along_valley(*refinement.valley.along(fit))
+    sameness = refinement.sameness if refinement.sameness and refinement.sameness.same else None
+    calibrated = partial(
+        SelfCalibration,
+        profile=Profile(refinement.valley.focal_px, refinement.valley.posterior_cost),
+        method="refined",
+        findings=findings + findings_on_solution(refinement, knowledge, next_view),
+        order_nats=max(0.0, sameness.lead) / 2 if sameness else 0.0,
+        at_rest_percent=at_rest_percent,
+        likely_percent=likely_percent,
+        possible_percent=possible_percent,
+        known=known,
+        next_view=next_view,
+        corners_covariance=refinement.covariance[np.ix_(*[_columns_of_corners(refinement.fit.state)] * 2)],
+    )
+    calibration = _calibration_of(refinement, knowledge, known)
     results = []
-    for i, matches in enumerate(captures):
+    for number, matches in enumerate(captures):
         if len(captures) > 1:
-            shift = sameness.shifts[i] if sameness and sameness.same else 0
-            matches = _renumbered(matches, reflect=turned[i], shift=shift)
-        corner, residual_px = before_the_matches(refinement.corner(i), calibration, matches)
-        uncertainty = uncertainty_of(
-            fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px, along
-        )
-        if known is not None:
-            with_log_baseline = known.with_log_baseline(refinement.covariance)
-            uncertainty = replace(uncertainty, with_log_baseline=with_log_baseline)
-        results.append(
-            SelfCalibration(
-                calibration,
-                matches,
-                corner,
-                profile,
-                residual_px,
-                "refined",
-                findings,
-                uncertainty,
-                order_nats,
-                at_rest_percent,
-                likely_percent,
-                possible_percent,
-                known,
-                next_view,
-                refinement.covariance[np.ix_(*[_columns_of_corners(fit.state)] * 2)],
-            )
-        )
+            matches = _renumbered(matches, reflect=is_turned[number], shift=sameness.shifts[number] if sameness else 0)
+        corner, residual_px = before_the_matches(refinement.corner(number), calibration, matches)
+        uncertainty = _uncertainty_of(refinement, number, known)
+        results.append(calibrated(calibration, matches, corner, residual_px=residual_px, uncertainty=uncertainty))
     return tuple(results)
+
+
+def _numbered_alike(cells: Sequence[Cells], knowledge: Knowledge) -> tuple[list[Cells], list[Family], list[bool]]:
+    """Return the cells of captures, with faces 1 and 2 exchanged where they run the other way around the vertex; the
+    family of closed-form solutions of each; and which were exchanged. A single capture stays as it is.
+    """
+    families = [family_of(of_capture, knowledge) for of_capture in cells]
+    if len(cells) == 1:
+        return [*cells], families, [False]
+    vertices = [family.objective.camera_image.vertex for family in families]
+    is_turned = [is_anticlockwise(of_capture, vertex) for of_capture, vertex in zip(cells, vertices, strict=True)]
+    alike = [reflected(of_capture) if turn else of_capture for of_capture, turn in zip(cells, is_turned, strict=True)]
+    return alike, [family_of(of_capture, knowledge) for of_capture in alike], is_turned
+
+
+def _calibration_of(refinement: Refinement, knowledge: Knowledge, known: KnownCalibration | None) -> Calibration:
+    state = refinement.fit.state
+    sigmas = sigmas_of(state, refinement.covariance)
+    calibration = calibration_of(state, knowledge.camera_size, knowledge.projector_size, sigmas)
+    return calibration if known is None else known.with_own_pixels(calibration)
+
+
+def _uncertainty_of(refinement: Refinement, capture: int, known: KnownCalibration | None) -> Uncertainty:
+    """Return the uncertainty with the noise of one of the captures."""
+    fit, along = refinement.fit, along_valley(*refinement.valley.along(refinement.fit))
+    noise_px = refinement.noise[capture].match_px
+    uncertainty = uncertainty_of(fit.state, refinement.covariance, fit.information, refinement.prior, noise_px, along)
+    if known is None:
+        return uncertainty
+    return replace(uncertainty, with_log_baseline=known.with_log_baseline(refinement.covariance))
 
 
 def _trials_around(known: KnownCalibration) -> Floats:

@@ -9,7 +9,7 @@ from calib.geometry import Matches
 from calib.numerics import Floats
 from calib.refinement import PrincipalPoint
 from calib.refusal import RefusalError
-from calib.self_calibration.rig import Method, self_calibrate
+from calib.self_calibration import Method, self_calibrate
 from tests.support.cloud_scene import CAMERA, PROJECTOR, room
 
 Change = Callable[[Floats, Floats, np.ndarray], None]

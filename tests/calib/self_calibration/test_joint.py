@@ -11,7 +11,7 @@ from calib.diagnostics import RIG_CHANGED
 from calib.geometry import Matches
 from calib.refinement import PrincipalPoint, shared_corner
 from calib.refusal import RefusalError
-from calib.self_calibration.rig import SelfCalibration, self_calibrate_jointly
+from calib.self_calibration import SelfCalibration, self_calibrate_jointly
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_captures
 from tests.support.findings import kinds_of, the_only
 

@@ -10,8 +10,8 @@ from calib.geometry import Intrinsics, Matches
 from calib.plane_segmentation import find_sparse_faces
 from calib.refinement import CAMERA, PROJECTOR, PlacedCorner, PrincipalPoint, State, predict, without_lens
 from calib.refusal import RefusalError
+from calib.self_calibration import SelfCalibration
 from calib.self_calibration.photos import anywhere, calibrate_photos
-from calib.self_calibration.rig import SelfCalibration
 from calib.synthetic import SyntheticPhotos, random_photos
 
 SIZE = (1600, 1200)

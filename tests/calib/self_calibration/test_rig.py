@@ -9,7 +9,7 @@ from calib.closed_form import exact_search, objective_for, search
 from calib.geometry import Matches
 from calib.refinement import ORDINARY_LENSES, LensPrior, PrincipalPoint
 from calib.refusal import RefusalError
-from calib.self_calibration.rig import Method, SelfCalibration, self_calibrate
+from calib.self_calibration import Method, SelfCalibration, self_calibrate
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
 from tests.support.findings import kinds_of
 
