@@ -48,7 +48,7 @@ SWITCHED_OFF: dict[str, Off] = {
         ("sample_analysis", "swings_of", lambda *_: {}),
         ("coordinates.code_images", "gains_of_pairs", lambda *_: {}),
     ),
-    "without taking motion back": (("motion.device_motion", "CoordinateShift.subtracted_from", lambda _, px: px),),
+    "without taking motion back": (("motion.rigid_motion", "CoordinateShift.subtracted_from", lambda _, px: px),),
     "with wrong bits left": (("coordinates.axis_decoder", "resolve_contradictory_codes", _nothing),),
 }
 

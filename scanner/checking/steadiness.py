@@ -105,10 +105,8 @@ def _moved(before: InitialState, now: Levels, projector_px: Floats, projector_si
     camera_px = np.stack([place[1], place[0]], axis=1).astype(np.float64)
     design = shifts_by_motion(camera_px, was, gradient, (width, height), projector_size)
     spread = np.maximum(np.median(np.abs(changed - np.median(changed, axis=0)), axis=0), 1e-3)
-    precision = np.broadcast_to(1 / spread**2, changed.shape)
     _, group = np.unique(place[0] // _TILE_PX * width + place[1] // _TILE_PX, return_inverse=True)
-    rows = design.reshape(-1, design.shape[2])
-    return fit_motion(rows, changed.reshape(-1), precision.reshape(-1), np.repeat(group.reshape(-1), 2))
+    return fit_motion(design / spread[:, None], changed / spread, group.reshape(-1))
 
 
 def _change(axis: Axis, before: Levels, now: Levels, place: tuple[Ints, Ints]) -> Floats:

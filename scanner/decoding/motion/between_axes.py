@@ -5,37 +5,35 @@ that of a pattern and its inverse, equal half of white, whatever the pattern. Al
 one picture of the scene, those along y another. They are compared if all of one axis is shown before all of the other.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import cast
+from math import isqrt, sqrt
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.numerics import (
     MANY_PIXELS,
     STRIP_ROWS,
     Floats,
     Floats32,
-    Image,
     Ints,
     Window,
-    chosen_ones,
     compiled,
     in_slices,
 )
 from scanner.decoding.coordinates import CodeImages
-from scanner.decoding.motion.borders import REACH_PX, Edges, part_around, places_of_tiles
-from scanner.decoding.motion.coarse_to_fine import TimeOfChange, motion_of, time_of_change
-from scanner.decoding.motion.device_motion import (
-    LEAST_PX,
+from scanner.decoding.motion.device_motion import LEAST_PX, MotionEstimate
+from scanner.decoding.motion.rigid_motion import PER_DEVICE, CoordinateShift, turns_px
+from scanner.decoding.motion.scene_motion import (
+    BORDER,
+    SCENE,
     SUSPECTED_PX,
-    CoordinateShift,
-    MotionEstimate,
-    turns_px,
+    LitScene,
+    Pictures,
+    SceneRegistration,
+    part_around,
 )
-from scanner.decoding.motion.pixels import COLUMNS, PER_DEVICE
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 
@@ -86,100 +84,150 @@ def pairs_of(axis: AxisPlan) -> dict[int, tuple[int, int]]:
     return axis.codes[0].pairs if len(axis.codes) == 1 and not axis.fringes else {}
 
 
+# Pictures are reduced to as few pixels as this at least: they tell where pictures of so many pixels do, and light that
+# is added up is not lost.
+_LEAST_PIXELS = 1_000_000
+
+
 @dataclass(frozen=True)
-class EvenlyLit:
-    """The scene as it looks evenly lit, while each axis was measured."""
+class EvenLight:
+    """The scene as it looks evenly lit: weighted means of frames, in a part of the image, reduced by a whole number."""
 
-    halves: tuple[Half, Half]
-    """The halves of the capture."""
-    frames: Callable[[], Iterable[tuple[int, Image]]]
-    """Reads the frames (H, W), by number."""
-    pictures: tuple[Floats32, Floats32]
-    """Of the halves, (H, W) each."""
-    pairs: tuple[tuple[int, int], ...]
-    """Frames of pattern and inverse, for codes alone, in order of display. If the two differ in brightness, stripes
-    remain in their mean, which move with neither device."""
-    levels: tuple[Image, ...]
-    """For each group of pixels asked for, the means of the pairs there, (pairs, P)."""
+    code_images: CodeImages
+    part: Window
+    """Of the image, in whole reduced pixels."""
+    scale: int
+    """Camera pixels along a reduced one."""
 
-    def pictures_of(self, before: Sequence[int], after: Sequence[int]) -> tuple[Floats32, Floats32]:
-        """Return the mean pictures (H, W) of two groups of pairs, given by number."""
-        shape = self.pictures[0].shape
-        totals = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        group_of = {self.pairs[k]: total for group, total in zip((before, after), totals, strict=True) for k in group}
-        unpaired: dict[tuple[int, int], Image] = {}
-        pair_of = {frame: pair for pair in group_of for frame in pair}
-        for number, grey in self.frames():
-            if (pair := pair_of.get(number)) is None:
-                continue
-            if pair in unpaired:
-                cv2.accumulate(_mean(unpaired.pop(pair), grey), group_of[pair])
-            else:
-                unpaired[pair] = grey
-        for group, total in zip((before, after), totals, strict=True):
-            total /= len(group)
-        return totals
+    def means(
+        self,
+        groups: tuple[Mapping[int, float], Mapping[int, float]],
+        pairs: Sequence[tuple[int, int]] = (),
+        pixels: Sequence[Ints] = (),
+    ) -> tuple[Pictures, tuple[Floats32, ...]]:
+        """Return the means (H, W) of two groups of frames, by number, with their weights; and, for each set of reduced
+        pixels, ascending flat indices (P,), the means (pairs, P) of pairs of frames there.
+        """
+        (rows, columns), scale = self.part, self.scale
+        height, width = ((part.stop - part.start) // scale for part in self.part)
+        pictures = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+        levels = tuple(np.empty((len(pairs), len(some)), np.float32) for some in pixels)
+        needed = {frame for frames in (*groups, *pairs) for frame in frames}
 
+        def add(strip: slice) -> None:
+            there = slice(rows.start + scale * strip.start, rows.start + scale * strip.stop), columns
+            frames, places, corner = self.code_images.stacked(there, needed)
+            for group, picture in zip(groups, pictures, strict=True):
+                numbers = np.array([places[frame] for frame in group], np.int64)
+                weights = np.array([*group.values()], np.float32) / np.float32(scale**2)
+                _add_up(frames, numbers, weights, corner, scale, picture[strip])
+            of_pairs = np.array([[places[frame] for frame in pair] for pair in pairs], np.int64).reshape(-1, 2)
+            for some, means in zip(pixels, levels, strict=True):
+                own = slice(*np.searchsorted(some, (strip.start * width, strip.stop * width)).tolist())
+                row, column = np.divmod(some[own] - strip.start * width, width)
+                place = np.stack([corner[0] + scale * row, corner[1] + scale * column])
+                _note_means(frames, of_pairs, place, means[:, own])
 
-def evenly_lit(halves: tuple[Half, Half], code_images: CodeImages, part: Window, groups: Sequence[Ints]) -> EvenlyLit:
-    """Add up the frames of a capture that belong to a half, in a part of the image (H, W); at `groups` of its pixels,
-    of ascending flat indices (P,), mean each pair of them.
-    """
-    rows, columns = part
-    height, width = rows.stop - rows.start, columns.stop - columns.start
-    pictures = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
-    order = code_images.plan.shown.index
-    pairs = sorted((pair for half in halves for pair in pairs_of(half.axis).values()), key=lambda p: max(map(order, p)))
-    pairs.sort(key=lambda pair: min(map(order, pair)))
-    levels = tuple(np.empty((len(pairs), len(pixels)), code_images.white.dtype) for pixels in groups)
-    needed = {frame for half in halves for frame in half.weights} | {frame for pair in pairs for frame in pair}
-
-    def add(strip: slice) -> None:
-        there = slice(rows.start + strip.start, rows.start + strip.stop), columns
-        frames, places, corner = code_images.stacked(there, sorted(needed, key=order))
-        for half, picture in zip(halves, pictures, strict=True):
-            ordered = sorted(half.weights, key=order)
-            weights = np.array([half.weights[frame] for frame in ordered], np.float32)
-            _add_up(frames, np.array([places[frame] for frame in ordered], np.int64), weights, corner, picture[strip])
-        of_pairs = np.array([[places[frame] for frame in pair] for pair in pairs], np.int64).reshape(-1, 2)
-        for pixels, means in zip(groups, levels, strict=True):
-            own = slice(*np.searchsorted(pixels, (strip.start * width, strip.stop * width)).tolist())
-            _note_means(frames, of_pairs, corner, pixels[own] - strip.start * width, width, means[:, own])
-
-    in_slices(height, STRIP_ROWS, add)
-    return EvenlyLit(halves, partial(code_images.equalised, part), pictures, tuple(pairs), levels)
+        in_slices(height, max(1, STRIP_ROWS // scale), add)
+        return pictures, levels
 
 
 @compiled
-def _add_up(frames: Image, places: Ints, weights: Floats32, corner: tuple[int, int], picture: Floats32) -> None:
-    """Add the weighted frames at some places of (N, ...), from a corner on, to a picture (H, W)."""
+def _add_up(
+    frames: NDArray[np.generic], places: Ints, weights: Floats32, corner: tuple[int, int], scale: int, picture: Floats32
+) -> None:
+    """Add up the weighted frames at some places of (N, ...), from a corner on, over squares of `scale` px, to a picture
+    (H, W).
+    """
     top, left = corner
     height, width = picture.shape
+    total = np.empty(scale * width, np.float32)
     for row in range(height):
-        total = picture[row]
+        total[:] = 0.0
         for k in range(len(places)):
-            levels, weight = frames[places[k], top + row, left : left + width], weights[k]
+            for y in range(top + scale * row, top + scale * (row + 1)):
+                levels, weight = frames[places[k], y, left : left + scale * width], weights[k]
+                for i in range(scale * width):
+                    total[i] += weight * np.float32(levels[i])
+        for x in range(scale):
             for i in range(width):
-                total[i] += weight * np.float32(levels[i])
+                picture[row, i] += total[scale * i + x]
 
 
 @compiled
-def _note_means(frames: Image, pairs: Ints, corner: tuple[int, int], pixels: Ints, width: int, means: Image) -> None:
-    """Note the means (pairs, P), in whole grey levels, of pairs of frames (N, ...) at pixels of a strip that begins at
-    a corner of them.
-    """
-    top, left = corner
+def _note_means(frames: NDArray[np.generic], pairs: Ints, place: Ints, means: Floats32) -> None:
+    """Note the means (pairs, P) of pairs of frames (N, ...) at the rows and columns `place` (2, P)."""
     for pair in range(len(pairs)):
         pattern, inverse = frames[pairs[pair, 0]], frames[pairs[pair, 1]]
-        for k in range(len(pixels)):
-            row, column = top + pixels[k] // width, left + pixels[k] % width
-            total = np.int64(pattern[row, column]) + np.int64(inverse[row, column])
-            half = total >> 1
-            means[pair, k] = half + (total & half & 1)  # a half is rounded to the even number, as by OpenCV
+        for k in range(place.shape[1]):
+            row, column = place[0, k], place[1, k]
+            means[pair, k] = np.float32(0.5) * (np.float32(pattern[row, column]) + np.float32(inverse[row, column]))
 
 
-def _mean(pattern: Image, inverse: Image) -> Image:
-    return cast(Image, cv2.addWeighted(pattern, 0.5, inverse, 0.5, 0).reshape(pattern.shape))
+# A picture with at least this share of the change, and of the rest, was taken during it. With less, a camera that
+# turned before the finest bits would have turned by a part of it during them.
+_PARTLY = 0.25
+
+
+@dataclass(frozen=True)
+class TimeOfChange:
+    """The completed share `done` (K,) of a change in each of K pictures.
+
+    `gained`: ratio of the explained difference to that of a change at the given place.
+    """
+
+    done: Floats
+    gained: float
+
+    @property
+    def before(self) -> tuple[int, ...]:
+        """Numbers of the pictures before the change."""
+        return tuple(np.flatnonzero(self.done == 0).tolist())
+
+    @property
+    def after(self) -> tuple[int, ...]:
+        """Numbers of the pictures after it."""
+        return tuple(np.flatnonzero(self.done == 1).tolist())
+
+
+def time_of_change(levels: Floats32, first: int, stripes: Sequence[float]) -> TimeOfChange | None:
+    """Locate a single change of K pictures with these `levels` (K, P), compared with a change after the `first` few.
+
+    `stripes`: stripe width of the pair that each picture is the sum of. None if sorting the pictures by stripe width
+    separates them better than sorting by time: stripes that were sharpened or rescaled do not add up to even light. A
+    change of overall brightness is ignored.
+    """
+    count = len(levels)
+    away = levels - levels.mean(axis=1, keepdims=True)
+    mean = away.mean(axis=0)
+    away -= np.outer(away @ mean / max(float(mean @ mean), 1e-12), mean)  # the mean may be even itself
+    products = (away @ away.T).astype(np.float64)
+    between = _between_groups(products)
+    by_width = np.argsort(stripes, kind="stable")
+    if between.max() < _between_groups(products[np.ix_(by_width, by_width)]).max():
+        return None
+    best = int(np.argmax(between)) + 1
+    # Either picture next to the change may have been taken during it.
+    before, after = (part.mean(axis=0) for part in (away[: max(best - 1, 1)], away[min(best + 1, count - 1) :]))
+    change = after - before
+    done = (away @ change - before @ change) / max(float(change @ change), 1e-12)
+    shares = (np.arange(count) >= best).astype(np.float64)
+    at_change = np.array([number for number in (best - 1, best) if 0 < number < count - 1], np.int64)
+    partly = at_change[np.abs(done[at_change] - 0.5) < 0.5 - _PARTLY]
+    shares[partly] = done[partly]
+    return TimeOfChange(shares, float(between[best - 1] / max(between[first - 1], 1e-12)))
+
+
+def _between_groups(products: Floats) -> Floats:
+    """Return the sum of squares between the groups, (K - 1,), for each split of a list in two.
+
+    `products` (K, K): scalar products of the list's members, whose sum is 0.
+    """
+    count = len(products)
+    splits = np.arange(1, count)
+    sums = np.diagonal(np.cumsum(np.cumsum(products, axis=0), axis=1))[:-1]
+    between: Floats = sums * count / (splits * (count - splits))
+    return between
 
 
 # Largest motion to be corrected: scene and border each show one common motion.
@@ -228,27 +276,37 @@ def motion_between(
     """
     height, width, _ = projector_px.shape
     sizes, plan = ((width, height), projector_size), code_images.plan
-    # Codes alone give coordinates in steps.
-    step_px = 0.0 if plan.fringes else max(axis.cell for axis in plan.axes)
-    rows, columns = part = part_around(projector_px)
-    projector_px = np.ascontiguousarray(projector_px[part])
-    places = places_of_tiles(projector_px, step_px)
     first, second = halves
     shares = np.array([axis.axis == second.axis.axis for axis in plan.axes], np.float64)
-    edges = Edges(
-        projector_px, step_px, places, shares, projector_size, camera_size=sizes[0], origin=(columns.start, rows.start)
+    scale = max(1, isqrt(height * width // _LEAST_PIXELS))
+    rows, columns = part = part_around(projector_px, scale)
+    scene = LitScene(
+        np.ascontiguousarray(projector_px[part][scale // 2 :: scale, scale // 2 :: scale]),
+        # Codes alone give coordinates in steps.
+        0.0 if plan.fringes else max(axis.cell for axis in plan.axes),
+        shares,
+        projector_size,
+        (width // scale, height // scale),
+        (columns.start // scale, rows.start // scale),
+        scale,
     )
-    lit = evenly_lit(halves, code_images, part, _compared_pixels(halves, edges))
-    fit, timing = motion_of(lit.pictures, edges), _BETWEEN
-    for moment in _within_halves(lit):
-        of_other = motion_of(lit.pictures_of(moment.before, moment.after), edges)
+    light = EvenLight(code_images, part, scale)
+    pairs = _pairs_in_order(plan, halves)
+    pictures, levels = light.means((first.weights, second.weights), pairs, _compared_pixels(scene) if pairs else ())
+    fit, timing = SceneRegistration(pictures, scene).fit(), _BETWEEN
+    for moment in _within_halves(halves, pairs, levels):
+        groups = [
+            dict.fromkeys((frame for number in group for frame in pairs[number]), 0.5 / len(group))
+            for group in (moment.before, moment.after)
+        ]
+        of_other = SceneRegistration(light.means((groups[0], groups[1]))[0], scene).fit()
         # The pictures of the halves mix before and after, so that the motion looks smaller there.
         larger = np.hypot(*turns_px(of_other.motion)) > np.hypot(*turns_px(fit.motion))
         if larger and of_other.significance > SIGNIFICANT_SIGMAS:
-            fit, timing = of_other, _timing_of(lit, plan, moment)
+            fit, timing = of_other, _timing_of(halves, pairs, plan, moment)
     _, camera_px = turns_px(fit.motion)
     shift = CoordinateShift(np.outer(shares, timing.share * fit.motion), *sizes)
-    size_px = _typical_px(shift, edges)
+    size_px = _typical_px(shift, scene)
     significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > LEAST_PX
     spread = [
         CoordinateShift(np.outer(shares, part), *sizes) for part in _independent(timing.share**2 * fit.covariance)
@@ -275,32 +333,43 @@ def motion_between(
     return replace(within, unseen=between.unseen, blind=between.blind)
 
 
-def _compared_pixels(halves: tuple[Half, Half], edges: Edges) -> list[Ints]:
-    """Return the pixels, flat indices (P,), at which the pictures of code pairs are compared: of the scene, then of the
-    border; none if the halves have no pairs, or where there are too few.
+def _pairs_in_order(plan: SequencePlan, halves: tuple[Half, Half]) -> list[tuple[int, int]]:
+    """Return the frames of pattern and inverse, for codes alone, in order of display.
+
+    If the two differ in brightness, stripes remain in their mean, which move with neither device.
     """
-    if not any(pairs_of(half.axis) for half in halves):
-        return []
-    pixels = edges.beside(np.zeros(COLUMNS), REACH_PX)
-    groups = []
-    for chosen in (pixels.scene, pixels.border):
-        count = np.count_nonzero(chosen)
+    pairs = [pair for half in halves for pair in pairs_of(half.axis).values()]
+    return sorted(pairs, key=lambda pair: sorted(map(plan.shown.index, pair)))
+
+
+def _compared_pixels(scene: LitScene) -> list[Ints]:
+    """Return the reduced pixels, flat indices (P,), at which pictures of code pairs are compared: of the scene, then of
+    the border; none where there are too few.
+    """
+    labels, groups = scene.at_rest, []
+    for label in (SCENE, BORDER):
+        count = np.count_nonzero(labels == label)
         if count >= FEWEST_PIXELS:
-            groups.append(chosen_ones(chosen, np.arange(0, count, -(-count // MANY_PIXELS))))
+            # Pixels of whole rows are next to each other in memory.
+            step = -(-count // MANY_PIXELS)
+            row, column = np.nonzero(labels[::step] == label)
+            groups.append(step * row * labels.shape[1] + column)
     return groups
 
 
-def _within_halves(lit: EvenlyLit) -> Iterator[TimeOfChange]:
+def _within_halves(
+    halves: tuple[Half, Half], pairs: Sequence[tuple[int, int]], levels: Sequence[Floats32]
+) -> Iterator[TimeOfChange]:
     """Yield the times, other than between the halves, at which pictures of code pairs changed: the scene, then the
-    border.
+    border, of which these are the `levels` (pairs, P).
     """
     found_groups = set()  # scene and border mostly agree
-    first = len(pairs_of(lit.halves[0].axis))
+    first = len(pairs_of(halves[0].axis))
     # Relative widths: the stripes of a bit are half as wide as those of the coarser one before it.
-    bits = {pair: (half.axis, bit) for half in lit.halves for bit, pair in pairs_of(half.axis).items()}
-    stripes = [axis.cell * 2.0 ** (max(pairs_of(axis)) - bit) for axis, bit in (bits[pair] for pair in lit.pairs)]
-    for levels in lit.levels:
-        moment = time_of_change(levels, first, stripes)
+    bits = {pair: (half.axis, bit) for half in halves for bit, pair in pairs_of(half.axis).items()}
+    stripes = [axis.cell * 2.0 ** (max(pairs_of(axis)) - bit) for axis, bit in (bits[pair] for pair in pairs)]
+    for of_part in levels:
+        moment = time_of_change(of_part, first, stripes)
         if moment is None or min(len(moment.before), len(moment.after)) < _FEWEST_PAIRS:
             continue
         groups = moment.before, moment.after
@@ -309,20 +378,25 @@ def _within_halves(lit: EvenlyLit) -> Iterator[TimeOfChange]:
             yield moment
 
 
-def _timing_of(lit: EvenlyLit, plan: SequencePlan, moment: TimeOfChange) -> _Timing:
+def _timing_of(
+    halves: tuple[Half, Half], pairs: Sequence[tuple[int, int]], plan: SequencePlan, moment: TimeOfChange
+) -> _Timing:
     """Return the effect of a change at this moment on the coordinates: half of the edges of a code belong to its finest
     bit.
     """
-    done = dict(zip(lit.pairs, moment.done.tolist(), strict=True))
+    done = dict(zip(pairs, moment.done.tolist(), strict=True))
     of_halves = []
-    for half in lit.halves:
-        pairs = pairs_of(half.axis)
-        edges = {bit: 2.0**bit for bit in pairs}
-        of_halves.append(sum(edges[bit] * done[pair] for bit, pair in pairs.items()) / sum(edges.values()))
-    places = [sorted(plan.shown.index(frame) for frame in pair) for pair in lit.pairs]
-    before, after = places[max(moment.before)], places[min(moment.after)]
-    mixed = max(np.sqrt(share * (1 - share)) for share in of_halves)
-    return _Timing(of_halves[1] - of_halves[0], _MIXED * mixed, before[-1], after[0])
+    for half in halves:
+        edges = {pair: 2.0**bit for bit, pair in pairs_of(half.axis).items()}
+        of_halves.append(sum(count * done[pair] for pair, count in edges.items()) / sum(edges.values()))
+    before, after = pairs[max(moment.before)], pairs[min(moment.after)]
+    mixed = max(sqrt(share * (1 - share)) for share in of_halves)
+    return _Timing(
+        of_halves[1] - of_halves[0],
+        _MIXED * mixed,
+        max(map(plan.shown.index, before)),
+        min(map(plan.shown.index, after)),
+    )
 
 
 def _independent(covariance: Floats) -> Floats:
@@ -332,9 +406,9 @@ def _independent(covariance: Floats) -> Floats:
     return rows
 
 
-def _typical_px(shift: CoordinateShift, edges: Edges) -> float:
+def _typical_px(shift: CoordinateShift, scene: LitScene) -> float:
     """Return the root mean square shift of the coordinates over the known tiles."""
-    places = edges.places
-    known = np.isfinite(places.gradient).all(axis=(1, 2))
-    shifts = shift.shifts(edges.centre[known], places.projector_px[known], places.gradient[known])
+    planes, known, scale = scene.planes, scene.planes.known, scene.scale
+    centre = scale * (scene.centre[known] + 0.5) - 0.5
+    shifts = shift.shifts(centre, planes.projector_px[known], planes.gradient[known] / scale)
     return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1)))) if len(shifts) else 0.0

@@ -12,14 +12,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import sqrt
 
-import numpy as np
-
 from calib.estimation import Shifts
 from calib.finding import Finding, FindingKind, Severity
-from calib.numerics import CUBIC, STRIP_ROWS, Floats, Floats32
+from calib.numerics import CUBIC, Floats
 from calib.refusal import RefusalError
 from scanner.decoding.motion.code_shift import CodeShift
-from scanner.decoding.motion.pixels import PER_DEVICE, shifts_by_motion
+from scanner.decoding.motion.rigid_motion import CoordinateShift, moved_device, turns_px
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEW, HALF
 from scanner.errors import InputError
@@ -36,47 +34,9 @@ _LARGEST_CYCLES = 1 / 8
 _LARGEST_PX = 3.0
 # For independent frames: half a radian of a fringe of six pixels, beyond which it is no longer linear.
 _LARGEST_OF_FRAMES_PX = 0.5
-# Standard deviation assumed for an unobservable motion between the axes.
-SUSPECTED_PX = 0.3
 # Jitter of single frames ripples a fringe. The part that is alike over whole surfaces is this share of the motion:
 # 0.001 to 0.002 px of 0.2 to 0.3, for each polynomial, in three simulated rooms.
 _LEFT_OF_SINGLE_FRAMES = 0.006
-
-
-@dataclass(frozen=True)
-class CoordinateShift:
-    """The mean motion of both devices in the x and y coordinates; sizes are (width, height)."""
-
-    motions: Floats
-    """(2, 8): of x and of y, as in `rigid`."""
-    camera_size: tuple[int, int]
-    """Of the camera's picture."""
-    projector_size: tuple[int, int]
-    """Of the projector's picture."""
-
-    def shifts(self, camera_px: Floats, projector_px: Floats, gradient: Floats) -> Floats:
-        """Return the shifts (N, 2) of matches at camera px (N, 2) and projector px (N, 2).
-
-        `gradient` (N, 2, 2): derivative of the projector coordinates (rows) by camera x and y.
-        """
-        by_motion = shifts_by_motion(camera_px, projector_px, gradient, self.camera_size, self.projector_size)
-        shifts: Floats = np.einsum("nac,ac->na", by_motion, self.motions)
-        return shifts
-
-    def subtracted_from(self, projector_px: Floats32) -> Floats32:
-        """Return a map of projector coordinates (H, W, 2) less the shifts, with the gradient of the map."""
-        height, width, _ = projector_px.shape
-        before, result = np.pad(projector_px, ((1, 1), (1, 1), (0, 0)), mode="edge"), np.empty_like(projector_px)
-        for top in range(0, height, STRIP_ROWS):
-            rows = slice(top, min(top + STRIP_ROWS, height))
-            around = before[rows.start : rows.stop + 2]
-            by_x, by_y = around[1:-1, 2:] - around[1:-1, :-2], around[2:, 1:-1] - around[:-2, 1:-1]
-            gradient = np.nan_to_num(np.stack([by_x, by_y], axis=3) / 2).reshape(-1, 2, 2)
-            y, x = np.mgrid[rows, :width]
-            camera_px = np.stack([x.reshape(-1), y.reshape(-1)], axis=1)
-            here = projector_px[rows].reshape(-1, 2).astype(np.float64)
-            result[rows] = projector_px[rows] - self.shifts(camera_px, here, gradient).reshape(-1, width, 2)
-        return result
 
 
 @dataclass(frozen=True)
@@ -172,25 +132,6 @@ def _likelier(motion: Floats, size: str) -> str:
     projector, camera = turns_px(motion)
     devices = ("camera", "projector") if camera >= HALF * projector else ("projector", "camera")
     return f"the {devices[0]}, or the {devices[1]}, moved by {size.format(max(projector, camera))}"
-
-
-def turns_px(motion: Floats) -> tuple[float, float]:
-    """Return how far the projector's picture moved, and the camera's, each in its own px."""
-    projector, camera = (float(np.hypot(*part[:2])) for part in np.split(motion, [PER_DEVICE]))
-    return projector, camera
-
-
-def moved_device(motion: Floats, size: str = "{:.2g} px") -> str:
-    """Describe which device moved, for example: the projector moved by 1.2 px; `motion` (8,) as in `rigid`, `size`:
-    format of px.
-    """
-    projector, camera = turns_px(motion)
-    moved = [
-        f"the {device} moved by {size.format(px)}"
-        for device, px, still_px in (("projector", projector, camera), ("camera", camera, projector))
-        if px >= HALF * still_px
-    ]
-    return " and ".join(moved)
 
 
 def between_periods_px(plan: SequencePlan, motion: MotionEstimate | None) -> float:

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.numerics import Floats, Ints
-from scanner.decoding.motion.device_motion import LEAST_PX, CoordinateShift, MotionEstimate, largest_bump_px
+from scanner.decoding.motion.device_motion import LEAST_PX, MotionEstimate, largest_bump_px
 from scanner.decoding.motion.frame_equations import (
     UNKNOWNS,
     FringeModel,
@@ -17,7 +17,8 @@ from scanner.decoding.motion.frame_equations import (
     equations_of_motion,
     fringe_frames,
 )
-from scanner.decoding.motion.pixels import COLUMNS, PER_DEVICE, MotionPixels, ObservedFringes, RigidFit, choose_pixels
+from scanner.decoding.motion.pixels import MotionPixels, ObservedFringes, choose_pixels
+from scanner.decoding.motion.rigid_motion import COLUMNS, PER_DEVICE, CoordinateShift, RigidFit
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS
 from scanner.decoding.significance import AS_GOOD, FEW, NEARLY_ALL, OUTLYING_SIGMAS, REFITS

@@ -7,6 +7,7 @@ M is the mean of both pictures, so that features of one of them alone, such as f
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.numerics import LEVEL, SLOPE, Bools, Floats, Floats32, Ints, compiled
 from scanner.decoding.significance import NEGLIGIBLE
@@ -19,7 +20,7 @@ _WINDOW = TILE_PX + 2 * _REACH
 
 @dataclass(frozen=True)
 class TileWarp:
-    """Where tiles are in the later picture: their middles at `place` (T, 2), and their surroundings `turned` (2, 2)
+    """Where T tiles are in the later picture: their middles at `place` (T, 2), and their surroundings `turned` (2, 2)
     about these.
     """
 
@@ -29,80 +30,92 @@ class TileWarp:
 
 @dataclass(frozen=True)
 class TileShifts:
-    """Observations of the shifts d of K tiles: each minimises dᵀ N d − 2 bᵀ d, in units of the residual variance."""
+    """Observations of the shifts d of K tiles, each as two independent equations `slopes` · d = `seen`, in standard
+    deviations.
+    """
 
     tiles: Ints
     """(K,): their numbers."""
-    normal: Floats
-    """(K, 2, 2): N."""
-    pull: Floats
-    """(K, 2): b."""
+    slopes: Floats
+    """(K, 2, 2)"""
+    seen: Floats
+    """(K, 2)"""
     differ: float
     """The squared differences of the pictures, weighted by their squared slopes."""
 
 
+def centres_of_tiles(shape: tuple[int, ...]) -> Floats:
+    """Return the middles (T, 2), x and y, of the tiles of an image of `shape` (H, W), row by row."""
+    rows, columns = (np.arange(size // TILE_PX, dtype=np.float64) for size in shape)
+    return (np.stack(np.meshgrid(columns, rows), axis=-1) * TILE_PX + (TILE_PX - 1) / 2).reshape(-1, 2)
+
+
 def shifts_of_tiles(
-    pictures: tuple[Floats32, Floats32], chosen: Bools, warp: TileWarp, *, own_light: bool = True
+    pictures: tuple[Floats32, Floats32],
+    labels: NDArray[np.uint8],
+    label: int,
+    warp: TileWarp,
+    tiles: Ints,
+    *,
+    own_light: bool = True,
 ) -> TileShifts:
-    """Observe the shifts of tiles from the `chosen` pixels (H, W) of two pictures, the later one warped back.
+    """Observe the shifts of some tiles (K,) from the pixels with a `label` (H, W) of two pictures, the later one warped
+    back.
 
     The pictures may be reduced by a whole number. `own_light`: whether g and o are fitted. They would absorb an edge
     that is blurred over more than a tile.
     """
     before, after = pictures
-    step = len(chosen) // len(before)
-    moments = np.zeros((len(warp.place), 5, 5))
+    step = len(labels) // len(before)
+    moments = np.zeros((len(tiles), 5, 5))
     # Levels are relative to one of the picture, to limit rounding errors.
     level = np.float32(before[TILE_PX // 2 :: TILE_PX, TILE_PX // 2 :: TILE_PX].mean())
-    place = (warp.place + 0.5) / step - 0.5
-    usable = np.ascontiguousarray(chosen[::step, ::step])
     taps = np.stack([LEVEL, SLOPE]).astype(np.float32)
-    _sum_moments(before, after, usable, TILE_PX // step, place, warp.turned, taps, level, moments)
+    place, chosen = (warp.place + 0.5) / step - 0.5, labels[::step, ::step] == label
+    _sum_moments(before, after, chosen, tiles, TILE_PX // step, place, warp.turned, taps, level, moments)
     in_pixels = step * np.array([1.0, 1.0, 1 / step, 1 / step, 1.0])
     moments *= np.outer(in_pixels, in_pixels)
-    tiles = np.flatnonzero(moments[:, 0, 0] > _OF_LIGHT + _OF_SHIFT)
-    normal, pull = _of_moments(moments[tiles], own_light=own_light)
-    tells = normal.trace(axis1=1, axis2=2) > 0
-    count, slopes, differ = moments[tiles, 0, 0], moments[tiles, 2, 2] + moments[tiles, 3, 3], moments[tiles, 4, 4]
-    return TileShifts(tiles[tells], normal[tells], pull[tells], float(np.sum(slopes * differ / count)))
+    filled = moments[:, 0, 0] > _OF_LIGHT + _OF_SHIFT
+    tiles, moments = tiles[filled], moments[filled]
+    slopes, seen = _equations(moments, own_light=own_light)
+    tells = np.abs(slopes).max(axis=(1, 2)) > 0
+    count, steepness, differ = moments[:, 0, 0], moments[:, 2, 2] + moments[:, 3, 3], moments[:, 4, 4]
+    return TileShifts(tiles[tells], slopes[tells], seen[tells], float(np.sum(steepness * differ / count)))
 
 
-def moments_of_tiles(projector_px: Floats32, chosen: Bools) -> Floats:
-    """Return the sums (rows, columns, 5, 5), over the `chosen` pixels (H, W) of each tile, of products of 1, the
-    pixel's column and row from the middle of the image, and its coordinates (H, W, 2).
+def _equations(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:
+    """Return the slopes (T, 2, 2) and what is seen (T, 2), from the moments (T, 5, 5) of 1, M, −∇M and D."""
+    count, rest = moments[:, 0, 0], moments[:, 2:, 2:]
+    parameters = _OF_SHIFT
+    if own_light:
+        parameters += _OF_LIGHT
+        root = _inverse_root(moments[:, :2, :2])
+        by_light = root @ moments[:, :2, 2:]
+        rest = rest - by_light.transpose(0, 2, 1) @ by_light
+    normal, root = rest[:, :2, :2], _inverse_root(rest[:, :2, :2])
+    slopes, seen = root @ normal, np.einsum("tab,tb->ta", root, rest[:, :2, 2])
+    variance = np.maximum(rest[:, 2, 2] - np.sum(seen**2, axis=1), 0.0) / (count - parameters)
+    # The residual variance of a tile is at least the median of all, since a low one is due to chance.
+    least = float(np.median(variance)) if len(variance) else 0.0
+    sigma = np.sqrt(np.maximum(variance, max(least, 1e-9)))
+    return slopes / sigma[:, None, None], seen / sigma[:, None]
+
+
+def _inverse_root(matrices: Floats) -> Floats:
+    """Return R (T, 2, 2) with RᵀR the inverses of symmetric matrices that may be singular, with a small regularisation
+    (Cholesky).
     """
-    rows, columns = (size // TILE_PX for size in chosen.shape)
-    moments = np.zeros((rows, columns, 5, 5))
-    _sum_moments_of(projector_px, chosen, moments)
-    return moments
-
-
-def centres_of_tiles(shape: tuple[int, ...]) -> Floats:
-    """Return the middles (rows, columns, 2), x and y, of the tiles of an image of `shape` (H, W)."""
-    rows, columns = (np.arange(size // TILE_PX, dtype=np.float64) for size in shape)
-    return np.stack(np.meshgrid(columns, rows), axis=-1) * TILE_PX + (TILE_PX - 1) / 2
+    across, both, down = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    little = NEGLIGIBLE * np.maximum(across + down, 0.0) + 1e-12
+    first = 1 / np.sqrt(np.maximum(across, 0.0) + little)
+    second = 1 / np.sqrt(np.maximum(down + little - (both * first) ** 2, little))
+    root = np.zeros_like(matrices)
+    root[:, 0, 0], root[:, 1, 1], root[:, 1, 0] = first, second, -both * first**2 * second
+    return root
 
 
 @compiled
-def _sum_moments_of(projector_px: Floats32, chosen: Bools, moments: Floats) -> None:
-    rows, columns, count, _ = moments.shape
-    height, width = chosen.shape
-    values = np.empty((count, TILE_PX * TILE_PX))
-    for row in range(rows):
-        for column in range(columns):
-            filled = 0
-            for y in range(row * TILE_PX, (row + 1) * TILE_PX):
-                for x in range(column * TILE_PX, (column + 1) * TILE_PX):
-                    if chosen[y, x]:
-                        values[0, filled], values[1, filled], values[2, filled] = 1.0, x - width / 2, y - height / 2
-                        values[3, filled], values[4, filled] = projector_px[y, x, 0], projector_px[y, x, 1]
-                        filled += 1
-            if filled:
-                _sum_products(values, filled, moments[row, column])
-
-
-@compiled
-def _sum_products(values: Floats, count: int, sums: Floats) -> None:
+def sum_products(values: Floats, count: int, sums: Floats) -> None:
     """Fill the sums of products (N, N) of N lists (N, K), of which the first `count` entries count."""
     for a in range(len(values)):
         for b in range(a + 1):
@@ -117,6 +130,7 @@ def _sum_moments(
     before: Floats32,
     after: Floats32,
     chosen: Bools,
+    tiles: Ints,
     tile_px: int,
     place: Floats,
     turned: Floats,
@@ -124,7 +138,7 @@ def _sum_moments(
     usual: np.float32,
     moments: Floats,
 ) -> None:
-    """Fill the moments (T, 5, 5) of 1, M, −∇M and D over the chosen pixels of each tile."""
+    """Fill the moments (K, 5, 5) of 1, M, −∇M and D over the chosen pixels of each of some tiles (K,)."""
     columns = before.shape[1] // tile_px
     # As large as for whole tiles: loops of constant length are several times as fast.
     around = np.empty((_WINDOW + 1, _WINDOW + 1), np.float32)
@@ -132,21 +146,22 @@ def _sum_moments(
     across = np.empty((3, _WINDOW, TILE_PX), np.float32)
     filtered = np.empty((4, TILE_PX, TILE_PX), np.float32)
     values = np.empty((5, tile_px * tile_px))
-    for tile in range(len(moments)):
-        top, first_column = tile // columns * tile_px, tile % columns * tile_px
-        if not chosen[top : top + tile_px, first_column : first_column + tile_px].any():
+    for number in range(len(tiles)):
+        tile = tiles[number]
+        top, left = tile // columns * tile_px, tile % columns * tile_px
+        if not chosen[top : top + tile_px, left : left + tile_px].any():
             continue
-        _sample(before, after, top, first_column, tile_px, place[tile], turned, around, mean, difference)
+        _sample(before, after, top, left, tile_px, place[tile], turned, around, mean, difference)
         _filter(mean, difference, taps, usual, across, filtered)
         count = 0
         for y in range(tile_px):
             for x in range(tile_px):
-                if chosen[top + y, first_column + x]:
+                if chosen[top + y, left + x]:
                     values[0, count] = 1.0
                     for a in range(4):
                         values[1 + a, count] = filtered[a, y, x]
                     count += 1
-        _sum_products(values, count, moments[tile])
+        sum_products(values, count, moments[number])
 
 
 @compiled
@@ -154,7 +169,7 @@ def _sample(
     before: Floats32,
     after: Floats32,
     top: int,
-    first_column: int,
+    left: int,
     tile_px: int,
     place: Floats,
     turned: Floats,
@@ -179,7 +194,7 @@ def _sample(
     for y in range(_WINDOW):
         row = min(max(top + y - _REACH, 0), height - 1)
         for x in range(_WINDOW):
-            mean[y, x] = before[row, min(max(first_column + x - _REACH, 0), width - 1)]
+            mean[y, x] = before[row, min(max(left + x - _REACH, 0), width - 1)]
         for x in range(_WINDOW):
             further, lower = np.float32(x) - middle, np.float32(y) - middle
             across = right + zoom * further - roll * lower
@@ -213,28 +228,3 @@ def _filter(
                 change += taps[0, k] * across[2, y + k, x]
             filtered[0, y, x], filtered[1, y, x] = level, -by_x
             filtered[2, y, x], filtered[3, y, x] = -by_y, change
-
-
-def _of_moments(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:
-    """Return N and b from the moments (T, 5, 5) of 1, M, −∇M and D."""
-    count, rest = moments[:, 0, 0], moments[:, 2:, 2:]
-    parameters = _OF_SHIFT
-    if own_light:
-        parameters += _OF_LIGHT
-        rest = rest - moments[:, 2:, :2] @ solved(moments[:, :2, :2], moments[:, :2, 2:])
-    normal, pull = rest[:, :2, :2], rest[:, :2, 2]
-    residual = rest[:, 2, 2] - np.einsum("ta,ta->t", pull, solved(normal, pull[..., None])[..., 0])
-    variance = np.maximum(residual, 0.0) / (count - parameters)
-    # The residual variance of a tile is at least the median of all, since a low one is due to chance.
-    variance = np.maximum(variance, max(float(np.median(variance)) if len(variance) else 0.0, 1e-9))
-    return normal / variance[:, None, None], pull / variance[:, None]
-
-
-def solved(matrices: Floats, right: Floats) -> Floats:
-    """Solve symmetric systems (T, 2, 2) that may be singular, with a small regularisation."""
-    across, both, down = matrices[:, 0, 0, None], matrices[:, 0, 1, None], matrices[:, 1, 1, None]
-    little = NEGLIGIBLE * (across + down) + 1e-12
-    across, down = across + little, down + little
-    first, second = right[:, 0], right[:, 1]
-    solution: Floats = np.stack([down * first - both * second, across * second - both * first], axis=1)
-    return solution / (across * down - both**2)[:, None]

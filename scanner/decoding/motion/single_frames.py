@@ -21,9 +21,10 @@ import scipy
 
 from calib.numerics import LEVEL, SLOPE, Bools, Floats, Floats32, Ints
 from scanner.decoding.light import MOST_ALONG, TILE_PX, NoiseModel, TileSample
-from scanner.decoding.motion.device_motion import CoordinateShift, MotionEstimate
+from scanner.decoding.motion.device_motion import MotionEstimate
 from scanner.decoding.motion.frame_equations import FrameEquations, FringeFrames, FringeModel, fringe_frames, of_frames
-from scanner.decoding.motion.pixels import COLUMNS, PER_DEVICE, MotionPixels, ObservedFringes
+from scanner.decoding.motion.pixels import MotionPixels, ObservedFringes
+from scanner.decoding.motion.rigid_motion import COLUMNS, PER_DEVICE, CoordinateShift
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
 from scanner.decoding.significance import AS_GOOD, BY_CHANCE, FEW, FEWEST_PIXELS, HALF, SIGNIFICANT_SIGMAS
 

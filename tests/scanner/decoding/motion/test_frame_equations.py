@@ -14,7 +14,8 @@ from scanner.decoding.motion.frame_equations import (
     fringe_frames,
 )
 from scanner.decoding.motion.measure import Trajectory, trajectories_of
-from scanner.decoding.motion.pixels import COLUMNS, MotionPixels
+from scanner.decoding.motion.pixels import MotionPixels
+from scanner.decoding.motion.rigid_motion import COLUMNS
 from scanner.patterns import PRESETS
 
 SIZE, COUNT = (854, 480), 3000

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from calib.numerics import SIGMA_PER_MEDIAN
+from calib.numerics import MEDIAN_LENGTH
 from scanner.decoding import TILE_PX, TileSample
 from scanner.decoding.motion import fit_motion
-from scanner.decoding.motion.pixels import COLUMNS, PRIOR_PX, _planes
+from scanner.decoding.motion.pixels import _planes
+from scanner.decoding.motion.rigid_motion import COLUMNS, PRIOR_PX
 
 
 def test_plane_fits_exclude_outliers() -> None:
@@ -30,21 +31,22 @@ def test_plane_fits_exclude_outliers() -> None:
 
 def test_the_motion_is_the_robust_mean_of_the_observations() -> None:
     rng = np.random.default_rng(7)
-    design, group = rng.normal(0, 1, (300, COLUMNS)), np.repeat(np.arange(30), 10)
-    truth, precision = rng.normal(0, 0.5, COLUMNS), rng.uniform(50, 500, 300)
-    seen = design @ truth + rng.normal(0, 1, 300) / np.sqrt(precision)
-    seen[::9] += 3.0
-    weight, prior = precision, np.eye(COLUMNS) / PRIOR_PX**2
+    design, group = rng.normal(0, 20, (300, 2, COLUMNS)), np.repeat(np.arange(30), 10)
+    truth, prior = rng.normal(0, 0.5, COLUMNS), np.eye(COLUMNS) / PRIOR_PX**2
+    seen = design @ truth + rng.normal(0, 1, (300, 2))
+    seen[::9] += 50.0
+    rows, weight = design.reshape(-1, COLUMNS), np.ones(600)
     for _ in range(6):
-        normal = design.T @ (weight[:, None] * design) + prior
-        motion = np.linalg.solve(normal, design.T @ (weight * seen))
-        off = np.abs(seen - design @ motion) * np.sqrt(precision)
-        scale = SIGMA_PER_MEDIAN * np.median(off)
-        weight = precision * np.minimum(1, 2 * scale / off)
-    found = fit_motion(design, seen, precision, group)
+        normal = rows.T @ (weight[:, None] * rows) + prior
+        motion = np.linalg.solve(normal, rows.T @ (weight * seen.reshape(-1)))
+        off = (seen.reshape(-1) - rows @ motion).reshape(-1, 2)
+        size = np.linalg.norm(off, axis=1)
+        scale = np.median(size) / MEDIAN_LENGTH
+        weight = np.repeat(np.minimum(1, 2 * scale / size), 2)
+    found = fit_motion(design, seen, group)
     np.testing.assert_allclose(found.motion, motion, atol=5e-3)
-    scores = weight * (seen - design @ motion)
-    sums = np.stack([np.bincount(group, column * scores) for column in design.T])
+    scores = weight * off.reshape(-1)
+    sums = np.stack([np.bincount(np.repeat(group, 2), column * scores) for column in rows.T])
     inverse = np.linalg.inv(normal)
     sigmas = np.sqrt(np.diag(inverse @ sums @ sums.T @ inverse + scale**2 * inverse))
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), sigmas, rtol=0.1)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from scanner.decoding.motion.borders import near_border, places_of_tiles
 from scanner.decoding.motion.registration import TILE_PX
+from scanner.decoding.motion.rigid_motion import COLUMNS, PER_DEVICE, shifts_of_picture
+from scanner.decoding.motion.scene_motion import BORDER, LitScene
 
 SIZE = (120, 90)
 
@@ -20,19 +21,16 @@ def test_the_border_is_where_coordinates_or_their_planes_reach_it(
     truth = np.stack([across[0] * x + across[1] * y, down[0] * x + down[1] * y], axis=-1) + np.array(SIZE) / 2
     inside = np.minimum(truth, np.array(SIZE) - 1.0 - truth).min(axis=-1) > 0
     seen = np.where(inside[..., None], truth, np.nan).astype(np.float32)
-    places = places_of_tiles(seen, 0.0)
-    tiles = len(places.projector_px)
-    moved_px = np.tile(np.array(moved), (tiles, 1))
-    reach_px = 4.0
+    scene = LitScene(seen, 0.0, np.ones(2), SIZE, (columns, rows), (0, 0), 1)
+    # A projector's picture that moves to the right takes its coordinates along.
+    motion, reach_px = np.append(-np.array(moved), np.zeros(COLUMNS - 2)), 4.0
 
-    near = near_border(seen, places, moved_px, SIZE, reach_px)
+    near = scene.labels(motion, reach_px) == BORDER
 
     steep = np.hypot([across[0], down[0]], [across[1], down[1]])
-    at = truth - moved
+    at = truth + (shifts_of_picture(truth.reshape(-1, 2), SIZE) @ motion[:PER_DEVICE]).reshape(truth.shape)
     off_px = np.abs(np.min(np.minimum(at, np.array(SIZE) - 1.0 - at) / steep, axis=-1))
-    has_plane = np.kron(
-        np.isfinite(places.projector_px).all(axis=1).reshape(rows // TILE_PX, -1), np.ones((TILE_PX, TILE_PX))
-    ).astype(bool)
+    has_plane = np.kron(scene.planes.known.reshape(rows // TILE_PX, -1), np.ones((TILE_PX, TILE_PX))).astype(bool)
     sure = has_plane & (np.abs(off_px - reach_px) > 0.2)
     assert np.count_nonzero(near & ~inside) > 100
     assert np.count_nonzero(sure & ~inside) > 100
