@@ -157,13 +157,13 @@ def run(case: Case, footage: Footage) -> tuple[str, str]:
         return f"{kind}, motion" if "moved" in str(error) else kind, str(error)[:110]
     (percent, sigmas), sigma_percent = errors(calibrated.calibration, truth), sigma_of(calibrated.calibration)
     motion, solution = decoding.motion, calibrated.solution
-    seen = f"; {motion}" if motion is not None and motion.significant else ""
+    seen = f"; {motion}" if motion is not None and motion.is_significant else ""
     figures = (
         f"{percent:.2f} %, {sigmas:.1f} sigma, by motion {solution.likely_percent:.2f} %, "
         f"unseen {solution.possible_percent:.2f} %, sigma {sigma_percent:.2f} %{seen}"
     )
     if sigmas > _SIGMAS or percent > _PERCENT:
-        if motion is not None and motion.blind:
+        if motion is not None and motion.is_blind:
             return "doubtful", figures
         return "weak" if sigmas <= _SIGMAS and sigma_percent > _GRADE_PERCENT else "wrong", figures
     return "seen" if seen else "good", figures

@@ -14,6 +14,6 @@ from scanner.decoding.light.samples import TILE_PX, GridSample, Samples, TileSam
 from scanner.decoding.map_checks import MirroredError
 from scanner.decoding.mask_reasons import MaskReason, PixelFlags
 from scanner.decoding.matches import ONE_AXIS
-from scanner.decoding.motion import SUSPECTED_PX, UNSEEN_MOTION, moved
+from scanner.decoding.motion import SUSPECTED_PX, UNSEEN_MOTION, MotionVerdict, moved
 from scanner.decoding.planning import plan_sequence, usable
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan

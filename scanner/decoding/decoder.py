@@ -33,16 +33,18 @@ from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.matches import collect_matches, one_axis, one_axis_finding
 from scanner.decoding.motion import (
     MotionEstimate,
+    MotionVerdict,
     attribute_to_motion,
     attribute_to_shifts,
+    between_periods_px,
+    halves_of,
     mask_wrong_bits,
+    motion_between,
     motion_findings,
     refuse_period_slips,
     refuse_unexplained_motion,
     repair_codes,
 )
-from scanner.decoding.motion.between_axes import halves_of, motion_between
-from scanner.decoding.motion.device_motion import between_periods_px
 from scanner.decoding.sample_analysis import CalibratedAxes, Observations, calibrate_axes, observe
 from scanner.patterns import Axis, Pattern
 
@@ -125,12 +127,12 @@ def decode(stack: FrameStack, projector_size: tuple[int, int], calibration: Cali
     with attribute_to_motion(lambda: observed.motion, observed.phase_jump):
         axes = calibrate_axes(images, samples.scattered, observed)
         plan, completion = images.plan, one_axis(stack.plan, calibration)
-        with attribute_to_shifts(plan, observed.code_shifts):
+        with attribute_to_shifts(observed.code_shifts):
             with annotate_errors(axes.anomalies):
                 pixels = _decode_pixels(images, samples, axes, observed, projector_size)
                 matches, reasons = collect_matches(plan, pixels.coordinates, pixels.cells_px, images.white, completion)
                 judged = assess_anomalies(axes.anomalies, reasons, matches, one_axis=completion is not None)
-            refuse_period_slips(plan, observed.code_shifts)
+            refuse_period_slips(observed.code_shifts)
             if observed.inconsistent is None:
                 refuse_unexplained_motion(plan, suspected(axes.anomalies), observed.motion)
     findings = (
@@ -213,6 +215,6 @@ def _decode_pixels(
     if halves := halves_of(images.plan_as_shown):
         motion = motion_between(halves, images, coordinates.projector_px, projector_size, motion)
     cells_px = None if refined or plan.fringes else coordinates.projector_px
-    if motion is not None and motion.significant and not motion.is_too_large:
+    if motion is not None and motion.verdict is MotionVerdict.CORRECTABLE:
         coordinates = replace(coordinates, projector_px=motion.shift.subtracted_from(coordinates.projector_px))
     return _DecodedPixels(coordinates, cells_px, motion, stripes)

@@ -28,6 +28,7 @@ from scanner.decoding.light.samples import Sample, Samples
 from scanner.decoding.map_checks import annotate_errors, check_fringes
 from scanner.decoding.motion import (
     CodeShift,
+    DetectedMotion,
     InconsistentPixels,
     MotionEstimate,
     ObservedFringes,
@@ -72,8 +73,8 @@ class Observations:
     """Of the codes of each axis against its fringes."""
     findings: tuple[Finding, ...]
     """For the operator."""
-    phase_jump: Callable[[], tuple[int, int] | None]
-    """Finds, on request, the two frames between which fringes jumped."""
+    phase_jump: Callable[[], DetectedMotion | None]
+    """Finds, on request, a bump by which fringes jumped."""
     inconsistent: InconsistentPixels | None = None
     """Where an object moved, if the frames agree elsewhere; None otherwise."""
 
@@ -217,7 +218,7 @@ def calibrate_axes(code_images: CodeImages, sample: Sample, observed: Observatio
         )
         anomalies += _explained(plan, code_anomalies, anomalies, observed.inconsistent)
         decoders = calibrating.result()
-        with attribute_to_shifts(plan, observed.code_shifts):
+        with attribute_to_shifts(observed.code_shifts):
             measured = measured_widely(decoders, thin)
             for decoder, of_axis in measured:
                 anomalies += check_fringes(plan, decoder, of_axis)

@@ -15,7 +15,7 @@ from calib.geometry import NO_FACE, Size
 from calib.numerics import Floats, Ints
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CAPTURE_FILE, CaptureMetadata, open_capture
-from scanner.decoding import SUSPECTED_PX, UNSEEN_MOTION, moved, smooth_error_px
+from scanner.decoding import SUSPECTED_PX, UNSEEN_MOTION, MotionVerdict, moved, smooth_error_px
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_matches, read_only_axis, read_planes, refuse_one_axis
 from scanner.patterns import Phase
@@ -39,7 +39,7 @@ _MARGIN_OF_SIZE = 0.1
 def refuse_moved(capture: Decoded) -> None:
     """Raise RefusalError if something moved so far during a capture that its matches cannot be trusted."""
     motion = capture.decoding.motion if capture.decoding else None
-    if motion is not None and motion.is_too_large:
+    if motion is not None and motion.verdict is MotionVerdict.TOO_LARGE:
         raise moved(motion)
 
 
@@ -73,7 +73,7 @@ def with_motion_findings(captures: Sequence[Decoded], solution: SelfCalibration)
         )
         solution = replace(solution, findings=(*solution.findings, cost))
     motions = [capture.decoding.motion for capture in captures if capture.decoding]
-    if not any(motion is not None and motion.blind for motion in motions):
+    if not any(motion is not None and motion.is_blind for motion in motions):
         return solution
     unseen = Finding(
         UNSEEN_MOTION,

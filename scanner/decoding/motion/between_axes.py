@@ -23,12 +23,11 @@ from calib.numerics import (
     in_slices,
 )
 from scanner.decoding.coordinates import CodeImages
-from scanner.decoding.motion.device_motion import LEAST_PX, MotionEstimate
+from scanner.decoding.motion.motion_estimate import LEAST_PX, MotionCourse, MotionEstimate, MotionVerdict
 from scanner.decoding.motion.rigid_motion import PER_DEVICE, CoordinateShift, turns_px
 from scanner.decoding.motion.scene_motion import (
     BORDER,
     SCENE,
-    SUSPECTED_PX,
     LitScene,
     Pictures,
     SceneRegistration,
@@ -248,18 +247,10 @@ class _Timing:
     `share`: the part of it by which x and y are shifted against each other, with its `sigma`.
     """
 
-    share: float = 1.0
-    sigma: float = 0.0
-    first: int | None = None
-    last: int | None = None
-
-    @property
-    def alternatives(self) -> tuple[float, ...]:
-        """Alternative shares, one standard deviation away."""
-        return (self.share - self.sigma, self.share + self.sigma) if self.sigma else ()
-
-
-_BETWEEN = _Timing()
+    share: float
+    sigma: float
+    first: int
+    last: int
 
 
 def motion_between(
@@ -293,7 +284,7 @@ def motion_between(
     light = EvenLight(code_images, part, scale)
     pairs = _pairs_in_order(plan, halves)
     pictures, levels = light.means((first.weights, second.weights), pairs, _compared_pixels(scene) if pairs else ())
-    fit, timing = SceneRegistration(pictures, scene).fit(), _BETWEEN
+    fit, timing = SceneRegistration(pictures, scene).fit(), _Timing(1.0, 0.0, first.last, second.first)
     for moment in _within_halves(halves, pairs, levels):
         groups = [
             dict.fromkeys((frame for number in group for frame in pairs[number]), 0.5 / len(group))
@@ -307,30 +298,34 @@ def motion_between(
     _, camera_px = turns_px(fit.motion)
     shift = CoordinateShift(np.outer(shares, timing.share * fit.motion), *sizes)
     size_px = _typical_px(shift, scene)
-    significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > LEAST_PX
+    largest_px = _LARGEST_PX if camera_px < _LARGEST_OF_CAMERA_PX else 0.0
+    verdict = MotionVerdict.of(
+        size_px, largest_px, significant=fit.significance > SIGNIFICANT_SIGMAS and size_px > LEAST_PX
+    )
     spread = [
         CoordinateShift(np.outer(shares, part), *sizes) for part in _independent(timing.share**2 * fit.covariance)
     ]
     turns = np.diag(fit.covariance).reshape(-1, PER_DEVICE)[:, :2]  # pan and tilt of either device
     between = MotionEstimate(
         motion=fit.motion,
-        significant=significant,
-        slow=False,
-        first=plan.repeats * (first.last if timing.first is None else timing.first),
-        last=plan.repeats * (second.first if timing.last is None else timing.last),
+        course=MotionCourse.BUMP,
+        verdict=verdict,
+        first=plan.repeats * timing.first,
+        last=plan.repeats * timing.last,
         size_px=size_px,
         explained=1.0,
         shift=shift,
         alternatives=tuple(
-            CoordinateShift(np.outer(shares, alternative * fit.motion), *sizes) for alternative in timing.alternatives
+            CoordinateShift(np.outer(shares, (timing.share + error) * fit.motion), *sizes)
+            for error in ((-timing.sigma, timing.sigma) if timing.sigma else ())
         ),
-        unseen=tuple(spread if significant else [*spread, shift]),
-        blind=bool(np.sqrt(turns).max() > SUSPECTED_PX / 2),
-        largest_px=_LARGEST_PX if camera_px < _LARGEST_OF_CAMERA_PX else 0.0,
+        unseen=tuple([*spread, shift] if verdict is MotionVerdict.NONE else spread),
+        turn_sigma_px=sqrt(turns.max()),
+        largest_px=largest_px,
     )
-    if within is None or not within.significant or (significant and size_px > within.size_px):
+    if within is None or not within.is_significant or (between.is_significant and size_px > within.size_px):
         return between
-    return replace(within, unseen=between.unseen, blind=between.blind)
+    return replace(within, unseen=between.unseen, turn_sigma_px=between.turn_sigma_px)
 
 
 def _pairs_in_order(plan: SequencePlan, halves: tuple[Half, Half]) -> list[tuple[int, int]]:

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.numerics import Floats, Floats32, Ints, huber_weights, median, robust_sigma
-from scanner.decoding.motion.pixels import MotionPixels
+from scanner.decoding.motion.fringe_pixels import MotionPixels
 from scanner.decoding.motion.rigid_motion import COLUMNS, PRIOR_PX
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import HUBER_SIGMAS, NEGLIGIBLE

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Floats32, Ints, Window, around, at_random, compiled
+from scanner.decoding.motion.motion_estimate import SUSPECTED_PX
 from scanner.decoding.motion.registration import TILE_PX, TileWarp, centres_of_tiles, shifts_of_tiles, sum_products
 from scanner.decoding.motion.rigid_motion import COLUMNS, PER_DEVICE, RigidFit, fit_motion, shifts_of_picture
 from scanner.decoding.significance import FEWEST_PIXELS, HALF, HUBER_SIGMAS, NEGLIGIBLE, SIGNIFICANT_SIGMAS
@@ -272,8 +273,6 @@ def _label_border(
 
 # Systematic error from fringe ripple and fixed patterns, in captures of real devices at rest.
 _SYSTEMATIC_PX = 0.01
-# Standard deviation assumed for an unobservable motion between the axes.
-SUSPECTED_PX = 0.3
 # Prior standard deviations: a bump turns a device; it hardly rolls it, and does not change its zoom.
 _EXPECTED_PX = SUSPECTED_PX * np.tile([1.0, 1.0, 0.3, 0.3], 2)
 # Blurs of the coarse-to-fine fit of a motion that is large compared with the sharpness of edges.
@@ -388,11 +387,10 @@ class SceneRegistration:
         numbers = np.concatenate([own.tiles, border.tiles])
         by_motion = np.concatenate([scene.by_scene[own.tiles], scene.by_border[border.tiles]])
         columns = labels.shape[1] // TILE_PX
-        row, column = np.divmod(numbers, columns)
         return _Observations(
             np.concatenate([own.slopes, border.slopes]) @ by_motion,
             np.concatenate([own.seen, border.seen]),
-            row // _GROUP_TILES * columns + column // _GROUP_TILES,
+            numbers // columns // _GROUP_TILES * columns + numbers % columns // _GROUP_TILES,
             own.differ + border.differ,
             np.inf if anywhere else HUBER_SIGMAS,
         )
@@ -400,11 +398,8 @@ class SceneRegistration:
     def _blurred(self, blur_px: float) -> Pictures:
         """Return the pictures (H, W) or, blurred, at half their size."""
         if blur_px not in self._pictures:
-            before, after = (_halved(picture, blur_px) for picture in self._pictures[0.0])
+            sharp = self._pictures[0.0]
+            halves = (cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for picture in sharp)
+            before, after = (np.asarray(cv2.GaussianBlur(half, (0, 0), blur_px / 2), np.float32) for half in halves)
             self._pictures[blur_px] = before, after
         return self._pictures[blur_px]
-
-
-def _halved(picture: Floats32, blur_px: float) -> Floats32:
-    half = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.GaussianBlur(half, (0, 0), blur_px / 2), np.float32)

@@ -104,7 +104,7 @@ def test_a_motion_is_taken_back_from_whole_cells_even_beside_an_occlusion_at_the
     )
     projector_px, outside = decoding.matches.projector_px, decoding.reasons == MaskReason.OUTSIDE
     assert decoding.motion is not None
-    assert decoding.motion.significant
+    assert decoding.motion.is_significant
     assert 8000 < len(projector_px) < np.count_nonzero(decoding.reasons == MaskReason.KEPT), "one match for a cell"
     assert 1 <= np.count_nonzero(outside) < 200
     assert np.all((projector_px >= -1) & (projector_px <= size))

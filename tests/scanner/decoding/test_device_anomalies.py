@@ -187,7 +187,7 @@ def test_flicker_in_an_odd_number_of_steps_is_found_and_is_no_motion(steps: int,
     frames = [np.rint(np.clip(frame, 0, 255)).astype(np.uint8) for frame in flickering(scene.frames(patterns))]
     decoding = decode(patterns, frames, scene.projector)
     assert decoding.motion is not None
-    assert not decoding.motion.significant
+    assert not decoding.motion.is_significant
     # Evenly spread over ±15 %, which is 8.7 % as a standard deviation.
     assert decoding.flicker is not None
     assert 0.06 < decoding.flicker < 0.11

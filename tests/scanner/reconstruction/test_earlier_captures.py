@@ -7,7 +7,7 @@ import pytest
 
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
-from scanner.decoding.motion import CoordinateShift, MotionEstimate
+from scanner.decoding.motion import CoordinateShift, MotionCourse, MotionEstimate, MotionVerdict
 from scanner.reconstruction.earlier_captures import refuse_costly, with_motion_findings
 from scanner.results import Decoded, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import room
@@ -15,7 +15,9 @@ from tests.support.result_folder import SIZES, calibrated_report
 
 SHIFT = CoordinateShift(np.zeros((2, 8)), *((size.width, size.height) for size in SIZES))
 PROJECTOR = np.array([0.3, 0, 0, 0, 0, 0, 0, 0])
-MOTION = MotionEstimate(PROJECTOR, True, False, 16, 21, 0.3, 0.9, SHIFT, ())
+MOTION = MotionEstimate(
+    16, 21, 0.3, PROJECTOR, MotionCourse.BUMP, MotionVerdict.CORRECTABLE, explained=0.9, shift=SHIFT, alternatives=()
+)
 
 
 @pytest.fixture(scope="module")

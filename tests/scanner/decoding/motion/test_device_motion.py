@@ -11,7 +11,7 @@ import pytest
 from calib.numerics import Image
 from calib.refusal import RefusalError
 from scanner.decoding import Decoding
-from scanner.decoding.motion import MotionEstimate
+from scanner.decoding.motion import MotionCourse, MotionEstimate, MotionVerdict
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Gray, Pattern, Phase, PresetName, phase_sequence, sequence_for
 from tests.support.synthetic_capture import Light, Scene, Turned, decode
@@ -56,7 +56,7 @@ def found(decoding: Decoding) -> MotionEstimate:
 @pytest.mark.parametrize("preset", PRESETS)
 def test_no_motion_is_found_at_rest(preset: PresetName) -> None:
     motion = found(SCENE.decode(PRESETS[preset].patterns(SCENE.projector)))
-    assert not motion.significant
+    assert motion.verdict is MotionVerdict.NONE
     assert motion.unseen == ()
     assert motion.shifts.likely == ()
 
@@ -65,8 +65,8 @@ def test_no_motion_is_found_at_rest(preset: PresetName) -> None:
 def test_a_bump_among_the_fringes(px: float, before_the_end: int) -> None:
     at = len(STANDARD) - before_the_end
     motion = found(bumped(STANDARD, at, px, px))
-    assert motion.significant
-    assert not motion.slow
+    assert motion.is_significant
+    assert motion.course is MotionCourse.BUMP
     assert motion.first < at <= motion.last
     assert 0.7 * px < motion.size_px / np.sqrt(2) < 1.3 * px
     assert str(motion).startswith("the projector")
@@ -78,7 +78,7 @@ def test_a_drift_does_not_shift_the_axes_against_each_other() -> None:
         STANDARD, frames(STANDARD, lambda n: (total_px * n / count, total_px * n / count)), SCENE.projector
     )
     motion = found(decoding)
-    assert motion.significant
+    assert motion.is_significant
     x, y = np.median(SCENE.errors(decoding), axis=0)
     assert -1.0 < x < -0.5  # where the picture was when the fringes were taken
     assert abs(x - y) < 0.03
@@ -87,7 +87,7 @@ def test_a_drift_does_not_shift_the_axes_against_each_other() -> None:
 def test_a_large_bump_is_refused() -> None:
     at = len(STANDARD) - 10
     motion = found(bumped(STANDARD, at, 0.9, 0.9))
-    assert motion.is_too_large
+    assert motion.verdict is MotionVerdict.TOO_LARGE
     assert motion.first < at <= motion.last
     assert 0.8 < motion.size_px / np.hypot(0.9, 0.9) < 1.1
     assert re.match(r"the projector, or the camera, moved by more than 0\.84 projector pixels between", str(motion))
@@ -95,7 +95,7 @@ def test_a_large_bump_is_refused() -> None:
 
 def test_a_bump_of_ambiguous_size_is_given_a_lower_bound() -> None:
     motion = found(bumped(STANDARD, len(STANDARD) - 10, 1.2, 1.2))
-    assert motion.is_too_large
+    assert motion.verdict is MotionVerdict.TOO_LARGE
     assert "moved by more than 0.84 projector pixels between" in str(motion)
 
 
@@ -109,8 +109,8 @@ def test_coordinates_have_the_share_of_the_shortest_fringe_in_a_bump() -> None:
     ]
     decoding = decode(patterns, blurred, SCENE.projector)
     motion = found(decoding)
-    assert motion.significant
-    assert not motion.is_too_large
+    assert motion.is_significant
+    assert motion.verdict is MotionVerdict.CORRECTABLE
     assert 0.9 * px < motion.size_px / np.sqrt(2) < 1.1 * px
     x, y = np.median(SCENE.errors(decoding), axis=0)
     assert -1.1 * px < x < -0.9 * px  # where the picture was when the shorter fringes were taken
@@ -119,14 +119,14 @@ def test_coordinates_have_the_share_of_the_shortest_fringe_in_a_bump() -> None:
 
 def test_inconsistent_fringes_are_attributed_to_the_bump() -> None:
     motion = found(bumped(STANDARD, len(STANDARD) - 2, 1.5, 1.5))
-    assert motion.is_too_large
+    assert motion.verdict is MotionVerdict.TOO_LARGE
     assert str(motion).startswith("the projector")
 
 
 def test_a_bump_before_the_fringes_changes_nothing() -> None:
     at = next(number for number, pattern in enumerate(STANDARD) if isinstance(pattern, Phase))
     decoding = bumped(STANDARD, at, 1.0)
-    assert not found(decoding).significant
+    assert found(decoding).verdict is MotionVerdict.NONE
     x, y = np.median(SCENE.errors(decoding), axis=0)
     assert x == pytest.approx(-1.0, abs=0.02)
     assert y == pytest.approx(0.0, abs=0.02)
@@ -186,10 +186,10 @@ FIRST_OF_Y = next(number for number, pattern in enumerate(APART) if getattr(patt
 @pytest.mark.parametrize("patterns", [APART, tuple(p for p in APART if not isinstance(p, Phase))])
 def test_no_motion_is_found_between_the_axes_at_rest(patterns: tuple[Pattern, ...]) -> None:
     inside, whole = (found(replace(SCENE, zoom=zoom).decode(patterns)) for zoom in (0.5, 1.6))
-    assert not inside.significant
-    assert not whole.significant
-    assert inside.blind  # the camera does not see the border of the picture
-    assert not whole.blind
+    assert inside.verdict is MotionVerdict.NONE
+    assert whole.verdict is MotionVerdict.NONE
+    assert inside.is_blind  # the camera does not see the border of the picture
+    assert not whole.is_blind
     largest = [max(float(np.abs(each.motions).max()) for each in motion.unseen) for motion in (inside, whole)]
     assert 0.2 < largest[0] < 0.4
     assert 0.005 < largest[1] < 0.05
@@ -201,11 +201,11 @@ def test_a_camera_that_turned_between_the_axes(right_px: float, down_px: float) 
     frames = [(after if number >= FIRST_OF_Y else SCENE).frame(pattern, number) for number, pattern in enumerate(APART)]
     decoding = decode(APART, frames, SCENE.projector)
     motion = found(decoding)
-    assert motion.significant
+    assert motion.is_significant
     assert motion.motion[4:6] == pytest.approx((right_px, down_px), abs=0.02 + 0.1 * abs(down_px))
     assert "the camera moved by" in str(motion)
     assert motion.first < FIRST_OF_Y <= motion.last
-    if not motion.is_too_large:
+    if motion.verdict is MotionVerdict.CORRECTABLE:
         assert np.abs(np.median(SCENE.errors(decoding), axis=0)).max() < 0.03  # taken back
 
 
@@ -230,8 +230,8 @@ def test_independent_motion_of_each_frame() -> None:
     ]
     decoding = decode(STANDARD, frames, SCENE.projector)
     motion = found(decoding)
-    assert motion.one_by_one
-    assert not motion.is_too_large
+    assert motion.course is MotionCourse.FRAME_BY_FRAME
+    assert motion.verdict is MotionVerdict.CORRECTABLE
     of_fringes = [number for number, pattern in enumerate(STANDARD) if isinstance(pattern, Phase)]
     size_px = float(np.hypot(*moves[of_fringes].std(axis=0)))
     assert np.hypot(*motion.motion[4:6]) == pytest.approx(size_px, abs=0.025)
@@ -264,11 +264,11 @@ def test_a_projector_turn_between_the_axes_is_measured_at_the_border(
         (after if number >= first_of_y else whole).frame(pattern, number) for number, pattern in enumerate(patterns)
     ]
     motion = found(decode(patterns, frames, SCENE.projector))
-    assert motion.significant
+    assert motion.is_significant
     # This picture shifts uniformly, unlike that of a projector that turns.
     assert motion.motion[:2] == pytest.approx((right_px, down_px), abs=max(0.04, 0.1 * np.hypot(right_px, down_px)))
     assert "the projector moved by" in str(motion)
-    assert motion.is_too_large == (abs(down_px) > 0.5)
+    assert (motion.verdict is MotionVerdict.TOO_LARGE) == (abs(down_px) > 0.5)
 
 
 @pytest.mark.parametrize("pairs_after", [2, 3])
@@ -277,7 +277,7 @@ def test_a_camera_that_turned_before_the_finest_bits_of_a_code(pairs_after: int)
     after = Turned(SCENE.camera, SCENE.projector, down_px=px)
     decoding = decode(CODES, [(after if n >= at else SCENE).frame(p, n) for n, p in enumerate(CODES)], SCENE.projector)
     motion = found(decoding)
-    assert motion.significant
+    assert motion.is_significant
     assert motion.motion[5] == pytest.approx(px, abs=0.05)  # not a part of it, as the mean over all pairs
     assert motion.first < at <= motion.last
     share = {2: 0.75, 3: 0.875}[pairs_after]  # of the edges
@@ -289,25 +289,25 @@ def test_stripes_due_to_flicker_are_not_taken_for_motion() -> None:
     frames = replace(SCENE, zoom=1.6).frames(CODES)
     flickering = [np.rint(factor * each).astype(np.uint8) for factor, each in zip(brightness, frames, strict=True)]
     motion = found(decode(CODES, flickering, SCENE.projector))
-    assert not motion.significant
+    assert motion.verdict is MotionVerdict.NONE
     assert 0.005 < max(float(np.abs(each.motions).max()) for each in motion.unseen) < 0.05
 
 
 def test_repeating_the_first_axis_observes_the_motion() -> None:
     again = (*APART, *tuple(phase_sequence("x", 6.7, 4))[:2])
-    assert found(SCENE.decode(again)).significant is False
+    assert found(SCENE.decode(again)).verdict is MotionVerdict.NONE
     motion = found(bumped(again, FIRST_OF_Y, 0.3))
-    assert motion.significant
+    assert motion.is_significant
     assert motion.unseen == ()
     assert motion.first < FIRST_OF_Y <= motion.last
     assert 0.2 < motion.size_px < 0.4
 
 
 def test_a_drift_that_explains_little_is_not_corrected() -> None:
-    seen = found(bumped(STANDARD, 30, 0.1, 0.25))
-    drift = replace(seen, significant=True, slow=True, size_px=1.5, explained=0.9)
-    assert not drift.is_too_large
-    assert replace(drift, explained=0.3).is_too_large
+    drift = MotionCourse.DRIFT
+    assert MotionVerdict.of(1.5, drift.largest_px(6.7, 0.9), significant=True) is MotionVerdict.CORRECTABLE
+    assert MotionVerdict.of(1.5, drift.largest_px(6.7, 0.3), significant=True) is MotionVerdict.TOO_LARGE
+    assert MotionVerdict.of(1.5, drift.largest_px(6.7, 0.3), significant=False) is MotionVerdict.NONE
 
 
 def test_a_bump_of_several_px_in_the_middle_of_a_fringe_is_named() -> None:

@@ -13,8 +13,8 @@ from scanner.decoding.motion.frame_equations import (
     equations_of_motion,
     fringe_frames,
 )
-from scanner.decoding.motion.measure import Trajectory, trajectories_of
-from scanner.decoding.motion.pixels import MotionPixels
+from scanner.decoding.motion.fringe_motion import Trajectory, trajectories_of
+from scanner.decoding.motion.fringe_pixels import MotionPixels
 from scanner.decoding.motion.rigid_motion import COLUMNS
 from scanner.patterns import PRESETS
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanner.decoding.motion.code_shift import middle_of
+from scanner.decoding.motion.phase_jumps import middle_of
 
 
 @given(

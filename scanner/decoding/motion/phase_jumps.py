@@ -1,4 +1,6 @@
-"""Motion between the codes of an axis and its fringes, from the offset of the fringes from the cells of the code.
+"""Motion by whole parts of a period: of fringes against their code, and among the frames of a fringe.
+
+A motion between the codes of an axis and its fringes offsets the fringes from the cells of the code.
 
 After a bump by about a whole period, the fringes agree with their code again, but not everywhere, since a turn moves
 the middle of the picture less than its sides. A pinhole of focal length f that pans by u px moves the place X by u (1 +
@@ -6,8 +8,9 @@ X² / f²), and the place (X, Y) of the other axis by u X Y / f². This curvatur
 periods are subtracted.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import inf
 
 import numpy as np
@@ -15,12 +18,14 @@ import numpy as np
 from calib.numerics import ENOUGH_PIXELS, Bools, Floats, Floats32, HuberFit, Ints, evenly_spread, fit_huber
 from scanner.decoding.codes import interval_of
 from scanner.decoding.coordinates import Signals
-from scanner.decoding.light import NoiseModel
-from scanner.decoding.motion.pixels import ObservedFringes
-from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan
+from scanner.decoding.light import MOST_ALONG, TILE_PX, NoiseModel, TileSample
+from scanner.decoding.motion.fringe_pixels import ObservedFringes
+from scanner.decoding.motion.motion_estimate import CodeShift, DetectedMotion
+from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan, Fringe, SequencePlan
 from scanner.decoding.significance import (
     AS_GOOD,
     ENDS,
+    FEW,
     FEWEST_PIXELS,
     HUBER_ROUNDS,
     HUBER_SIGMAS,
@@ -40,22 +45,6 @@ _SLOPES, _COLUMNS = 3, 8
 # Least and largest focal length of projectors, in widths of the picture.
 _LEAST_FOCAL, _MOST_FOCAL = 0.8, 2.7
 _LEAST_PX = 0.5
-
-
-@dataclass(frozen=True)
-class CodeShift:
-    """Motion along an axis between the frames of its codes and those of its fringes."""
-
-    axis: AxisPlan
-    """Along which."""
-    px: float
-    """Projector pixels, or more: it is known only up to whole periods, and is a part of the motion if that happened
-    during either group of frames.
-    """
-    by_periods: bool = False
-    """Whether it includes whole periods of the longest fringe, which leave all pixels decodable."""
-    sure: bool = True
-    """Whether the motion was along this axis, rather than along the other one alone, by another amount."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +72,21 @@ def shifts_of_codes(fringes: ObservedFringes) -> tuple[CodeShift, ...]:
     """Return the significant shifts, from the pixels where nothing moved."""
     offsets = (_offsets(axis, of_axis, fringes.noise, fringes.tiles.static) for axis, of_axis in fringes.axes)
     known = [offset for offset in offsets if offset is not None]
-    by_periods = [*moved_by_periods(*known)] if len(known) == len(fringes.plan.axes) else []
+    by_periods = [*moved_by_periods(fringes.plan, *known)] if len(known) == len(fringes.plan.axes) else []
     remaining = [offset for offset in known if offset.axis not in [shift.axis for shift in by_periods]]
     # A finest bit that was exchanged with its inverse also shifts by half a period.
     shifted = [offset for offset in remaining if _LEAST_PX <= abs(offset.mean_px) <= AS_GOOD * offset.period / 2]
-    return (*by_periods, *(CodeShift(offset.axis, offset.mean_px) for offset in shifted))
+    return (*by_periods, *(_code_shift(fringes.plan, offset.axis, offset.mean_px) for offset in shifted))
+
+
+def _code_shift(
+    plan: SequencePlan, axis: AxisPlan, px: float, *, by_periods: bool = False, is_sure: bool = True
+) -> CodeShift:
+    axes = (axis,) if is_sure else plan.axes
+    first = min(frame for axis in axes for code in axis.codes for frame in code.frames)
+    last = max(frame for axis in axes for fringe in axis.fringes for frame in fringe.frames)
+    between = f"between {plan.name(first)} and {plan.name(last)}"
+    return CodeShift(first, last, px, axis, between, by_periods=by_periods, is_sure=is_sure)
 
 
 def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, static: Bools) -> Offsets | None:
@@ -143,7 +142,7 @@ def _wrapped(angles: Floats32) -> Floats32:
     return wrapped
 
 
-def moved_by_periods(x: Offsets, y: Offsets) -> Iterator[CodeShift]:
+def moved_by_periods(plan: SequencePlan, x: Offsets, y: Offsets) -> Iterator[CodeShift]:
     """Yield the motions along x and y that include whole periods."""
     axes, width = (x, y), x.axis.length
     chosen = evenly_spread(np.flatnonzero(x.known & y.known), 4 * ENOUGH_PIXELS)  # some hundreds for each block
@@ -161,7 +160,7 @@ def moved_by_periods(x: Offsets, y: Offsets) -> Iterator[CodeShift]:
     for number, offset in enumerate(axes):
         px = _by_periods(offset.period, fit.parameters[_SLOPES * number], fit.parameters[number - 2], sigma[number - 2])
         if moved[number] and px:
-            yield CodeShift(offset.axis, px, by_periods=True, sure=sure[number])
+            yield _code_shift(plan, offset.axis, px, by_periods=True, is_sure=sure[number])
 
 
 def _block(place: Floats, height: float) -> Ints:
@@ -233,3 +232,93 @@ def _by_periods(period: float, offset_px: float, curvature: float, sigma: float)
     if abs(beyond) < max(SIGNIFICANT_SIGMAS * sigma, period / _MOST_FOCAL**2):
         return 0.0
     return float(offset_px + np.sign(beyond) * period)
+
+
+_JUMPS = 33  # to try, within half a period on either side
+_BLOCK_TILES, _FEWEST_BLOCKS = 4, 4  # side of a block; blocks without which their agreement means nothing
+
+
+@dataclass(frozen=True)
+class _FringeSample:
+    """The frames of one fringe at P pixels."""
+
+    levels: Floats
+    """(N, P): grey levels."""
+    block: Ints
+    """(P,): of the image."""
+    times: Ints
+    """(N,): of the frames."""
+    shifts: Floats
+    """(N,): of the phase, in cycles."""
+
+    def fit_jump(self, first_after: int) -> tuple[float, float]:
+        """Fit a phase jump before frame `first_after`: the unexplained share of the power, and the jump in cycles.
+
+        Each block of the image takes its best jump; the result is the mean over blocks.
+        """
+        after = self.times >= first_after
+        jumps = np.linspace(-0.5, 0.5, _JUMPS) if 0 < after.sum() < len(after) else np.zeros(1)
+        power = np.maximum(np.sum((self.levels - self.levels.mean(axis=0)) ** 2, axis=0), 1e-9)
+        count = np.bincount(self.block)
+        big = count >= FEWEST_PIXELS
+        unexplained = (_residual_projection(self.shifts + jump * after) @ self.levels for jump in jumps)
+        remaining = np.stack([np.bincount(self.block, np.sum(rest**2, axis=0) / power) for rest in unexplained])[:, big]
+        best = np.argmin(remaining, axis=0)
+        common = np.mean(np.exp(2j * np.pi * jumps[best]))
+        # Jumps differ between surfaces, but agree between blocks.
+        if abs(common) < AS_GOOD:
+            return 1.0, 0.0
+        return float(np.mean(remaining[best, np.arange(len(best))] / count[big])), float(np.angle(common)) / (2 * np.pi)
+
+
+def find_phase_jump(fringes: ObservedFringes) -> DetectedMotion | None:
+    """Return the bump between two frames that explains fringes which fit no cosine otherwise, or None."""
+    plan, tiles = fringes.plan, fringes.tiles
+    if not plan.fringes or any(len(fringe.frames) <= COSINE_PARAMETERS for fringe in plan.fringes) or not tiles.count:
+        return None
+    samples = [_fringe_sample(plan, fringe, tiles, fringes.noise) for fringe in plan.fringes]
+    if any(np.count_nonzero(np.bincount(sample.block) >= FEWEST_PIXELS) < _FEWEST_BLOCKS for sample in samples):
+        return None
+    times = sorted({int(time) for sample in samples for time in sample.times})
+    before = max(remaining for remaining, _ in (sample.fit_jump(times[0]) for sample in samples))
+    best = min(
+        ((*_worst(samples, second), first, second) for first, second in pairwise(times)),
+        key=lambda candidate: candidate[0],
+    )
+    remaining, is_step, *frames = best
+    # Harmonics of a gamma of 2.2 leave 0.05 of a fringe's power.
+    if is_step or remaining > FEW * min(1, before):
+        return None
+    first, second = (plan.repeats * frame for frame in frames)
+    return DetectedMotion(first, second, None)
+
+
+def _worst(samples: Sequence[_FringeSample], first_after: int) -> tuple[float, bool]:
+    """Return the unexplained power of the worst fringe, and whether all jumps are by a whole phase step, as if
+    frames were taken for the next ones.
+    """
+    fits = [(sample, *sample.fit_jump(first_after)) for sample in samples]
+    jumps = [
+        abs(jump * len(sample.shifts) - np.rint(jump * len(sample.shifts))) / len(sample.shifts) < 1 / _JUMPS
+        for sample, _, jump in fits
+        if sample.times.min() < first_after <= sample.times.max()
+    ]
+    return max(remaining for _, remaining, _ in fits), all(jumps)
+
+
+def _residual_projection(shifts: Floats) -> Floats:
+    """Return the projection (N, N) of levels onto what no offset, amplitude and phase at these shifts (N,) explain."""
+    design = np.stack([np.ones(len(shifts)), np.cos(2 * np.pi * shifts), np.sin(2 * np.pi * shifts)], axis=1)
+    rest: Floats = np.eye(len(shifts)) - design @ np.linalg.pinv(design)
+    return rest
+
+
+def _fringe_sample(plan: SequencePlan, fringe: Fringe, tiles: TileSample, noise: NoiseModel) -> _FringeSample:
+    times, shifts = plan.times_of(fringe)
+    levels = tiles.of_frames(times.tolist()).astype(np.float64)
+    mean = levels.mean(axis=0)
+    visible: Bools = np.mean((levels - mean) ** 2, axis=0) > SIGNIFICANT_SIGMAS**2 * noise.variance(mean)
+    side = np.maximum(np.array(tiles.shape[::-1]) / MOST_ALONG, TILE_PX) * _BLOCK_TILES
+    across, down = (tiles.camera_px[visible] // side).astype(np.int64).T
+    block = np.unique(down * (1 + across.max(initial=0)) + across, return_inverse=True)[1]
+    return _FringeSample(levels[:, visible], block.reshape(-1), times, shifts)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanner.decoding.motion.single_frames import FrameShifts
+from scanner.decoding.motion.fringe_motion import FrameShifts
 
 COUNT = 8
 

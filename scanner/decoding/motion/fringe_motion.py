@@ -1,27 +1,43 @@
 """Measurement of camera or projector motion between fringe frames: its trajectory in time, its size and its effect on
 the coordinates.
+
+It is one event, a bump or an even drift, or small motion of every frame, as of hand-held cameras and software image
+stabilisation. Least squares over thousands of pixels measures the shift of each frame (`frame_equations`) from the
+slopes of the frames themselves: to first order, a shift by d changes a frame I by −∇I · d, that of the fringes and that
+of the texture. A shift that all frames share is unobservable.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
 from itertools import pairwise
+from math import sqrt
 
 import numpy as np
+import scipy
 
-from calib.numerics import Floats, Ints
-from scanner.decoding.motion.device_motion import LEAST_PX, MotionEstimate, largest_bump_px
+from calib.numerics import LEVEL, SLOPE, Floats, Floats32, Ints
+from scanner.decoding.light import TILE_PX, NoiseModel, TileSample
 from scanner.decoding.motion.frame_equations import (
     UNKNOWNS,
+    FrameEquations,
+    FringeFrames,
     FringeModel,
     Projection,
     equations_of_motion,
     fringe_frames,
+    of_frames,
 )
-from scanner.decoding.motion.pixels import MotionPixels, ObservedFringes, choose_pixels
+from scanner.decoding.motion.fringe_pixels import MotionPixels, ObservedFringes, choose_pixels
+from scanner.decoding.motion.motion_estimate import (
+    LEAST_PX,
+    MotionCourse,
+    MotionEstimate,
+    MotionVerdict,
+    largest_bump_px,
+)
 from scanner.decoding.motion.rigid_motion import COLUMNS, PER_DEVICE, CoordinateShift, RigidFit
-from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
-from scanner.decoding.sequence_plan import COSINE_PARAMETERS
-from scanner.decoding.significance import AS_GOOD, FEW, NEARLY_ALL, OUTLYING_SIGMAS, REFITS
+from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
+from scanner.decoding.significance import AS_GOOD, BY_CHANCE, FEW, HALF, NEARLY_ALL, OUTLYING_SIGMAS, REFITS
 
 # Significance that interreflection and ripple do not reach at rest.
 _SIGNIFICANT = 8.0
@@ -34,16 +50,16 @@ _BOTH = np.eye(COLUMNS)  # devices
 class Trajectory:
     """The completed share of a motion over time, from 0 to 1.
 
-    It is a step between the frames `first` and `last`, or a linear ramp from the one to the other if it is `slow`.
+    It is a step between the frames `first` and `last`, or a linear ramp from the one to the other for a drift.
     """
 
     first: int
     last: int
-    slow: bool = False
+    course: MotionCourse = MotionCourse.BUMP
 
     def at(self, times: Ints) -> Floats:
         """Return the completed share (N,) of the motion in frames (N,)."""
-        if self.slow:
+        if self.course is MotionCourse.DRIFT:
             return (times - self.first) / (self.last - self.first)
         return (times >= self.last).astype(np.float64)
 
@@ -51,7 +67,7 @@ class Trajectory:
 def trajectories_of(times: Ints) -> list[Trajectory]:
     """Return all that frames at these times (N,), in order, can tell apart: a slow drift, and bumps between two."""
     bumps = [Trajectory(int(first), int(last)) for first, last in pairwise(times)]
-    return [Trajectory(int(times[0]), int(times[-1]), slow=True), *bumps]
+    return [Trajectory(int(times[0]), int(times[-1]), MotionCourse.DRIFT), *bumps]
 
 
 @dataclass(frozen=True)
@@ -95,27 +111,31 @@ class MotionMeter:
         if is_significant:
             devices, undecided = self._likelier_device(event)
             fit, explained = self._refined(event, devices)
-        size_px = self._size_px(fit)
-        linear = size_px < _LINEAR_CYCLES * self._finest_period
+        size_px, measurable_px = self._size_px(fit), _LINEAR_CYCLES * self._finest_period
         first, last = min(trajectory.first for trajectory in likely), max(trajectory.last for trajectory in likely)
+        if event.course is MotionCourse.DRIFT:
+            first, last = event.first, event.last
         contradicted = self._is_overdetermined and is_significant
         estimate = MotionEstimate(
             motion=fit.motion,
-            # Aliasing, ripple and blurred frames differ between pixels: a motion explains few percent of them.
-            significant=contradicted and explained > FEW and max(gained) > self._by_late_frame(),
-            slow=event.slow,
-            first=self._repeats * (event.first if event.slow else first),
-            last=self._repeats * (event.last if event.slow else last),
+            course=event.course,
+            verdict=MotionVerdict.of(
+                size_px,
+                event.course.largest_px(self._finest_period, explained),
+                # Aliasing, ripple and blurred frames differ between pixels: a motion explains few percent of them.
+                significant=contradicted and explained > FEW and max(gained) > self._by_late_frame(),
+            ),
+            first=self._repeats * first,
+            last=self._repeats * last,
             size_px=size_px,
             explained=explained,
-            shift=self._disturbance(event, fit.motion),
+            shift=self._shift_of(event, fit.motion),
             alternatives=tuple(
-                self._disturbance(trajectory, devices @ self._along(trajectory, devices).values)
-                for trajectory in likely
+                self._shift_of(trajectory, devices @ self._along(trajectory, devices).values) for trajectory in likely
             ),
+            measurable_px=measurable_px,
             largest_px=largest_bump_px(self._finest_period),
-            linear=linear,
-            undecided=is_significant and (undecided or not linear),
+            is_either_device=is_significant and (undecided or size_px >= measurable_px),
         )
         return MotionMeasurement(estimate, contradicted, self._by_event(max(gained)) if contradicted else 1.0)
 
@@ -166,7 +186,7 @@ class MotionMeter:
         sure = np.maximum((self._design @ fit.motion) ** 2 - OUTLYING_SIGMAS**2 * variance, 0.0)
         return float(np.sqrt(2 * np.mean(sure)))
 
-    def _disturbance(self, trajectory: Trajectory, motion: Floats) -> CoordinateShift:
+    def _shift_of(self, trajectory: Trajectory, motion: Floats) -> CoordinateShift:
         """Return the motion (8,) that x and y each contain, averaged over their fringes, without their common part.
 
         The common part is equivalent to another pose of the rig.
@@ -196,6 +216,141 @@ class MotionMeter:
         return RigidFit(devices @ values, devices @ equations.covariance(more) @ devices.T, at_first.gained), explained
 
 
+# Noise reduction by the taps along both axes, as a factor of the variance.
+_LESS_NOISE = float(np.sum(LEVEL**2)) ** 2
+_MARGIN = len(LEVEL) // 2
+# Apparent motion at rest due to ripple: of a single frame, and of the mean of the frames of a fringe.
+_OF_A_FRAME_PX, _OF_A_FRINGE_PX = 0.03, 0.01
+# One event explains nearly all of its effect; nonlinearity leaves a few hundredths.
+_MOST_BY_EVENT = 0.95
+
+
+@dataclass(frozen=True)
+class FrameShifts:
+    """Shifts of N frames relative to their mean."""
+
+    times: Ints
+    """(N,): places of the frames in the sequence."""
+    shift_px: Floats
+    """(2, N): shift of the scene to the right and down."""
+    covariance: Floats
+    """(2 N, 2 N)"""
+    by_shifts: float
+    """Share of the residuals of a fit of light alone that the shifts explain."""
+    by_event: float
+    """Share of this that one bump or one even drift explains."""
+
+    @property
+    def is_no_event(self) -> bool:
+        """Whether the shifts are significant, and not explained by a single event."""
+        if self.by_event >= _MOST_BY_EVENT:
+            return False
+        shifts = self.shift_px.reshape(-1)
+        squared = float(shifts @ np.linalg.solve(self.covariance + _OF_A_FRAME_PX**2 * np.eye(shifts.size), shifts))
+        return squared > float(scipy.special.chdtri(shifts.size - 2, BY_CHANCE))
+
+    @property
+    def are_distinct_from_light(self) -> bool:
+        """Whether the shifts explain what changes of light do not, and many frames are shifted.
+
+        A frame with ghosting of the last picture looks as if it and the opposite step were shifted. Shifts explain more
+        than 0.75 of the residuals of light where frames were shifted, and less than 0.35 where flicker was left. Two of
+        eight independent frames have up to half of the squares, a late frame and its opposite step 0.97.
+        """
+        squares = np.sort(np.sum(self.shift_px**2, axis=0))
+        return self.by_shifts > HALF and float(squares[-2:].sum()) < AS_GOOD * float(squares.sum())
+
+    def between(self, shares: Floats) -> tuple[Floats, Floats]:
+        """Return the sum (2,) of shares (N,) of the shifts, and its covariance (2, 2)."""
+        both = np.kron(np.eye(2), shares)
+        return self.shift_px @ shares, both @ self.covariance @ both.T
+
+
+def shifts_of_frames(fringes: ObservedFringes, pixels: MotionPixels, by_event: float) -> FrameShifts:
+    """Measure the shifts of the frames of all fringes."""
+    frames = fringe_frames(fringes.plan)
+    count = len(frames.times)
+    equations = equations_of_shifts(frames, fringes.tiles, pixels, fringes.noise)
+    fit = equations.along(np.eye(2 * count))
+    about_mean = np.kron(np.eye(2), np.eye(count) - 1 / count)
+    return FrameShifts(
+        frames.times,
+        (about_mean @ fit.values).reshape(2, count),
+        about_mean @ equations.covariance(fit) @ about_mean,
+        1.0 - equations.variance(fit.values) / max(equations.variance(), 1e-12),
+        by_event,
+    )
+
+
+def equations_of_shifts(
+    frames: FringeFrames, tiles: TileSample, pixels: MotionPixels, noise: NoiseModel
+) -> FrameEquations:
+    """Return the equations for the shift of each frame to the right and down."""
+    row, column = np.divmod(pixels.number % TILE_PX**2, TILE_PX)
+    inside = (np.minimum(row, column) >= _MARGIN) & (np.maximum(row, column) < TILE_PX - _MARGIN)
+    images = tiles.of_frames(frames.times.tolist())
+    place = pixels.number[inside]
+    levels, right, down = (
+        _filtered(images, *taps)[:, place] for taps in ((LEVEL, LEVEL), (LEVEL, SLOPE), (SLOPE, LEVEL))
+    )
+    model = FringeModel(frames, levels.astype(np.float64))
+    variance = _LESS_NOISE * noise.variance(model.light).astype(np.float64)
+    return FrameEquations(frames, pixels.tile[inside], (of_frames(model, -np.stack([right, down]), variance),))
+
+
+def _filtered(images: Floats32, down: Floats, across: Floats) -> Floats32:
+    """Filter tiles (N, P) by taps along columns and rows; values within two pixels of a tile's border are undefined."""
+    filtered = images.reshape(len(images), -1, TILE_PX, TILE_PX)
+    # A matrix product of a few taps made OpenBLAS warn of invalid values that do not exist.
+    for axis, taps in ((2, down), (3, across)):
+        shifted = (tap * np.roll(filtered, _MARGIN - k, axis) for k, tap in enumerate(taps.astype(np.float32)))
+        filtered = reduce(np.add, shifted)
+    return filtered.reshape(images.shape)
+
+
+def moved_one_by_one(
+    event: MotionEstimate, plan: SequencePlan, shifts: FrameShifts, pixels: MotionPixels
+) -> MotionEstimate:
+    """Return the estimate for independent motion of the frames, in place of that of an `event`."""
+    x, y = (_shares(axis.fringes[-1], plan, shifts.times) for axis in plan.axes)
+    apart, covariance = shifts.between(x - y)
+    # Half of it goes to x, and half to y: their common part is equivalent to another pose of the rig.
+    half = np.zeros((2, 2, COLUMNS))
+    half[0, :, PER_DEVICE : PER_DEVICE + 2] = np.eye(2) / 2
+    half[1] = -half[0]
+
+    def shift_by(of: Floats) -> CoordinateShift:
+        return replace(event.shift, motions=np.einsum("adc,d->ac", half, of))
+
+    values, vectors = np.linalg.eigh(covariance + 2 * _OF_A_FRINGE_PX**2 * np.eye(2))
+    spread = tuple(shift_by(sqrt(max(value, 0.0)) * vector) for value, vector in zip(values, vectors.T, strict=True))
+    typical = np.zeros(COLUMNS)
+    typical[PER_DEVICE : PER_DEVICE + 2] = np.sqrt(np.mean(shifts.shift_px**2, axis=1))
+    size_px = float(np.sqrt(np.mean(np.sum((pixels.gradient @ shifts.shift_px) ** 2, axis=1))))
+    course = MotionCourse.FRAME_BY_FRAME
+    return replace(
+        event,
+        motion=typical,
+        course=course,
+        verdict=MotionVerdict.of(size_px, course.largest_px(0.0, 1.0), significant=True),
+        first=plan.repeats * int(shifts.times[0]),
+        last=plan.repeats * int(shifts.times[-1]),
+        size_px=size_px,
+        shift=shift_by(apart),
+        alternatives=(),
+        unseen=spread,
+    )
+
+
+def _shares(fringe: Fringe, plan: SequencePlan, times: Ints) -> Floats:
+    """Return the share (N,) of the shift of each frame in the coordinate from a fringe, averaged over its phases."""
+    shares = np.zeros(len(times))
+    of_frame = np.sum(fringe.weights[1:] * fringe.design[:, 1:].T, axis=0) / 2
+    for k, number in enumerate(fringe.frames):
+        shares[times == plan.shown.index(number)] = of_frame[k]
+    return shares
+
+
 def measure_motion(fringes: ObservedFringes) -> MotionEstimate | None:
     """Return the motion during a capture; None if too few smooth pixels see fringes."""
     pixels, plan, tiles = choose_pixels(fringes), fringes.plan, fringes.tiles
@@ -208,9 +363,10 @@ def measure_motion(fringes: ObservedFringes) -> MotionEstimate | None:
     if not measured.contradicted:
         return estimate
     shifts = shifts_of_frames(fringes, pixels, measured.by_event)
-    if not shifts.is_no_event or not (estimate.significant or shifts.are_distinct_from_light):
+    if not shifts.is_no_event or not (estimate.is_significant or shifts.are_distinct_from_light):
         return estimate
     one_by_one = moved_one_by_one(estimate, plan, shifts, pixels)
     # Large shifts of single frames prove nothing: a bump by many px is not linear, so that no single event explains it
     # either.
-    return estimate if estimate.is_too_large and one_by_one.is_too_large else one_by_one
+    both_too_large = {estimate.verdict, one_by_one.verdict} == {MotionVerdict.TOO_LARGE}
+    return estimate if both_too_large else one_by_one

@@ -6,7 +6,7 @@ import pytest
 from calib.numerics import MEDIAN_LENGTH
 from scanner.decoding import TILE_PX, TileSample
 from scanner.decoding.motion import fit_motion
-from scanner.decoding.motion.pixels import _planes
+from scanner.decoding.motion.fringe_pixels import _planes
 from scanner.decoding.motion.rigid_motion import COLUMNS, PRIOR_PX
 
 
