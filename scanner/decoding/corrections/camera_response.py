@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import TRIAL_PIXELS, Floats, Floats32, Image, evenly_spread, robust_sigma
+from calib.numerics import TRIAL_PIXELS, Floats, Floats32, Image, Ints, evenly_spread, robust_sigma
 from scanner.decoding.light import PartOfFrames, residual_of_gains
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF, HUBER_ROUNDS, MAJORITY, NEGLIGIBLE, OUTLYING_SIGMAS
@@ -117,36 +117,48 @@ def _fit(groups: list[Floats], swing: Floats, stiffness: float) -> _Fit:
     return _Fit(light, before, after * exp(-2 * float(density @ np.log(np.maximum(slopes, _LEAST_SLOPE)))))
 
 
-def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
-    """Fit g to all sums (sums, P, _LEVELS) or, if ambient light changed, to those before and to those after it.
+def _fit_in_one_light(sums: Floats, swing: Floats, times: Ints) -> _Fit:
+    """Fit g to all sums (sums, P, _LEVELS) or, if ambient light changed before a frame, to those with none, one or both
+    of their frames from then on, by the places `times` (sums, 2) of these. Some sums must be on either side, or the
+    curve at levels that are only there is anything.
 
-    A change adds an unknown light to each pixel, so the evidence for it is weighed by Schwarz's criterion (BIC): −2 log
-    likelihood is the number of sums times the logarithm of what is left of them. As pixels are not independent, half of
-    that must go at least.
+    Each further light adds an unknown to each pixel, so the evidence for a change is weighed by Schwarz's criterion
+    (BIC): −2 log likelihood is the number of sums times the logarithm of what is left of them. As pixels are not
+    independent, half of that must go at least.
     """
     stiffness = 1 / len(swing)
-    best = common = _fit([sums], swing, stiffness)
-    for light in (_LINEAR, common.light):
+    common = _fit([sums], swing, stiffness)
+    every_change = (np.sum(times >= place, axis=1) for place in range(times.min(), times.max() + 1))
+    changes = [
+        after for after in every_change if min(np.sum(after == end) for end in (after.min(), after.max())) >= MAJORITY
+    ]
+    penalties = np.array([float(sums[..., 0].size) ** ((len({*after.tolist()}) - 1) / len(sums)) for after in changes])
+
+    def in_groups(values: Floats, after: Ints) -> list[Floats]:
+        return [values[after == count] for count in np.unique(after)]
+
+    best, least, lights = common, common.after, [_LINEAR, common.light]
+    for light in lights:
         of_light, of_swing = sums @ light, swing @ light
-        uneven = [
-            _unevenness(of_light[:place], of_swing) + _unevenness(of_light[place:], of_swing)
-            for place in range(1, len(sums))
-        ]
-        place = 1 + int(np.argmin(uneven))
-        best = min(best, _fit([sums[:place], sums[place:]], swing, stiffness), key=lambda fit: fit.after)
-    is_changed = best.after < common.after * min(HALF, (len(sums) * len(swing)) ** (-1 / len(sums)))
-    return best if is_changed else common
+        uneven = [sum(_unevenness(group, of_swing) for group in in_groups(of_light, after)) for after in changes]
+        place = int(np.argmin(uneven * penalties))
+        fit = _fit(in_groups(sums, changes[place]), swing, stiffness)
+        if max(1 / HALF, penalties[place]) * fit.after < least:
+            best, least = fit, penalties[place] * fit.after
+            lights.append(fit.light)  # by which the moment may be another one
+    return best
 
 
 def _of_inverses(plan: SequencePlan, levels: Floats32) -> Floats | None:
     """Return the values (_LEVELS,) of the g that makes the sums of pairs equal at pixels of `levels` (frames, P), if
     one does.
     """
-    pairs = levels[np.array(sorted(plan.complements, key=lambda pair: plan.shown.index(pair[1])))]
+    numbers = np.array(plan.complements)
+    pairs, times = levels[numbers], np.array([[plan.shown.index(number) for number in pair] for pair in numbers])
     darkest, brightest = levels.min(axis=0), levels.max(axis=0)
     if _unevenness(pairs.sum(axis=1), brightest - darkest) < _NOTABLE:
         return None
-    fit = _fit_in_one_light(_sums_of(pairs), _interpolation(brightest) - _interpolation(darkest))
+    fit = _fit_in_one_light(_sums_of(pairs), _interpolation(brightest) - _interpolation(darkest), times)
     # A change of ambient light may explain everything. Other causes, as a dark white frame, leave much, and brightness
     # of the frames is likelier if it leaves less.
     most = _uneven_by_gains(pairs, brightest - darkest)

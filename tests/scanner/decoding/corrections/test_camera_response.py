@@ -138,6 +138,17 @@ def test_an_ambient_light_change_is_still_found(curve: Curve) -> None:
     assert share_kept(decoding) > 0.97
 
 
+@pytest.mark.parametrize("curve", [linear, srgb, steep])
+@pytest.mark.parametrize("more", [10, 25, 60])
+def test_light_that_changes_within_a_pair_hides_no_curve(curve: Curve, more: int) -> None:
+    """A pattern and its inverse, of which one has the added light, add up to neither of the usual sums."""
+    light = replace(SCENE, ambient=SCENE.ambient + more)
+    before, after = (photographs(GRAY, curve, scene) for scene in (SCENE, light))
+    found = response_of(GRAY, [*before[:21], *after[21:]])
+    assert (found is None) == (curve is linear)
+    assert found is None or 0.0002 < off_by(found.light, curve) < 0.025
+
+
 @pytest.mark.parametrize("curve", [srgb, steep])
 def test_moving_objects_are_still_found(curve: Curve) -> None:
     """A dark object covers part of the picture in some frames."""

@@ -49,3 +49,12 @@ def test_frames_of_random_exposure_are_no_change_of_light(seed: int) -> None:
     factors = np.random.default_rng(seed).uniform(0.5, 1.0, len(QUICK))
     frames = [np.rint(by * frame).astype(np.uint8) for by, frame in zip(factors, SCENE.frames(QUICK), strict=True)]
     assert corrections_to(QUICK, frames, SCENE.projector).switch is None
+
+
+def test_random_exposures_of_white_and_black_are_no_change_of_light() -> None:
+    """The gains of these two, which no other frame tells, explain as much as a lamp switched off after them."""
+    scene = Scene()
+    patterns = PRESETS["standard"].patterns(scene.projector)
+    factors = [1.0, 1.0, *np.random.default_rng(3).uniform(0.4, 1.0, len(patterns) - 2)]
+    frames = [np.rint(by * frame).astype(np.uint8) for by, frame in zip(factors, scene.frames(patterns), strict=True)]
+    assert corrections_to(patterns, frames, scene.projector).switch is None
