@@ -12,27 +12,11 @@ from math import isqrt, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import (
-    MANY_PIXELS,
-    STRIP_ROWS,
-    Floats,
-    Floats32,
-    Ints,
-    Window,
-    compiled,
-    in_slices,
-)
+from calib.numerics import MANY_PIXELS, STRIP_ROWS, Floats, Floats32, Ints, Window, compiled, in_slices
 from scanner.decoding.coordinates import CodeImages
 from scanner.decoding.motion.motion_estimate import LEAST_PX, MotionCourse, MotionEstimate, MotionVerdict
 from scanner.decoding.motion.rigid_motion import PER_DEVICE, CoordinateShift, turns_px
-from scanner.decoding.motion.scene_motion import (
-    BORDER,
-    SCENE,
-    LitScene,
-    Pictures,
-    SceneRegistration,
-    part_around,
-)
+from scanner.decoding.motion.scene_motion import BORDER, SCENE, LitScene, Pictures, SceneRegistration, part_around
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 

@@ -14,8 +14,8 @@ from calib.numerics import Bools, Floats, Floats32, Ints, evenly_spread
 from scanner.decoding.codes import interval_of
 from scanner.decoding.coordinates import Signals
 from scanner.decoding.light import TILE_PX, NoiseModel, TileSample
+from scanner.decoding.motion.registration import MOST_ROUGH_PX
 from scanner.decoding.motion.rigid_motion import COLUMNS, shifts_by_motion
-from scanner.decoding.motion.scene_motion import MOST_ROUGH_PX
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import FEWEST_COUNTED, REFITS, SIGNIFICANT_SIGMAS
 

@@ -1,19 +1,26 @@
 """Registration of two pictures of a scene, tile by tile, from their gradients (Lucas and Kanade, IJCAI 1981).
 
 For each tile, the shift d explains the difference of the pictures, D = g M + o − ∇M · d, with a gain g and an offset o.
-M is the mean of both pictures, so that features of one of them alone, such as fringe ripple, cause no shift.
+M is the mean of both pictures, so that features of one of them alone, such as fringe ripple, cause no shift. The
+coordinates of a tile's pixels lie in a plane.
 """
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import LEVEL, SLOPE, Bools, Floats, Floats32, Ints, compiled
-from scanner.decoding.significance import NEGLIGIBLE
+from scanner.decoding.significance import FEWEST_PIXELS, NEGLIGIBLE
 
 TILE_PX = 16  # side of a tile, over which the shift is taken as constant
 _OF_LIGHT, _OF_SHIFT = 2, 2  # unknowns of a tile: g and o, and d
+# Largest rms distance from a plane, in projector px: tiles on edges or curved surfaces are rejected.
+MOST_ROUGH_PX = 0.7
+# A tile's plane is fitted to its own decoded pixels and its neighbours', in a window of this size, and extrapolated as
+# many tiles beyond decoded ones: there the border of a picture that moved is masked.
+AROUND_TILES = 3
 _REACH = 2  # taps of the filters to either side
 _WINDOW = TILE_PX + 2 * _REACH
 
@@ -48,6 +55,60 @@ def centres_of_tiles(shape: tuple[int, ...]) -> Floats:
     """Return the middles (T, 2), x and y, of the tiles of an image of `shape` (H, W), row by row."""
     rows, columns = (np.arange(size // TILE_PX, dtype=np.float64) for size in shape)
     return (np.stack(np.meshgrid(columns, rows), axis=-1) * TILE_PX + (TILE_PX - 1) / 2).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class TilePlanes:
+    """Coordinates of T tiles: `projector_px` (T, 2) in their middles, and the `gradient` (T, 2, 2) by camera x and y.
+
+    NaN where the coordinates are unknown or not smooth.
+    """
+
+    projector_px: Floats
+    gradient: Floats
+
+    @property
+    def known(self) -> Bools:
+        """(T,): the tiles that have a plane."""
+        return np.asarray(np.isfinite(self.gradient).all(axis=(1, 2)), np.bool_)
+
+    def extrapolated(self, shape: tuple[int, ...]) -> "TilePlanes":
+        """Return these planes, and those of the nearest known tiles for the unknown ones of an image (H, W)."""
+        rows, columns = (size // TILE_PX for size in shape)
+        known = self.known
+        if not known.any():
+            return self
+        far, label = cv2.distanceTransformWithLabels(
+            (~known).reshape(rows, columns).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        of_label = np.zeros(int(label.max()) + 1, np.int64)
+        of_label[label.reshape(-1)[known]] = np.flatnonzero(known)
+        nearest = of_label[label.reshape(-1)]
+        gradient, centre = self.gradient[nearest], centres_of_tiles(shape)
+        projector_px = self.projector_px[nearest] + np.einsum("tac,tc->ta", gradient, centre - centre[nearest])
+        beyond = far.reshape(-1) > AROUND_TILES
+        projector_px[beyond], gradient[beyond] = np.nan, np.nan
+        return TilePlanes(projector_px, gradient)
+
+
+def planes_of_tiles(projector_px: Floats32, step_px: float) -> TilePlanes:
+    """Fit planes to the coordinates (H, W, 2) of all camera pixels, in steps of `step_px`, NaN where unknown."""
+    shape = projector_px.shape[:2]
+    rows, columns = (size // TILE_PX for size in shape)
+    moments = np.zeros((rows, columns, 5, 5))
+    _sum_coordinate_products(projector_px, moments)
+    window = (AROUND_TILES, AROUND_TILES)
+    moments = cv2.boxFilter(
+        moments.reshape(rows, columns, -1), -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT
+    ).reshape(-1, 5, 5)
+    planes = np.linalg.solve(moments[:, :3, :3] + 1e-6 * np.eye(3), moments[:, :3, 3:])
+    squares = np.trace(moments[:, 3:, 3:] - moments[:, 3:, :3] @ planes, axis1=1, axis2=2)
+    count = moments[:, 0, 0]
+    smooth = (count >= FEWEST_PIXELS) & (squares < (MOST_ROUGH_PX**2 + 2 * step_px**2 / 12) * count)
+    smooth_planes: Floats = np.where(smooth[:, None, None], planes, np.nan)
+    offset = centres_of_tiles(shape) - np.array(shape[::-1]) / 2
+    at_centre: Floats = smooth_planes[:, 0] + np.einsum("ta,tac->tc", offset, smooth_planes[:, 1:])
+    return TilePlanes(at_centre, smooth_planes[:, 1:].transpose(0, 2, 1))
 
 
 def shifts_of_tiles(
@@ -115,7 +176,7 @@ def _inverse_root(matrices: Floats) -> Floats:
 
 
 @compiled
-def sum_products(values: Floats, count: int, sums: Floats) -> None:
+def _sum_products(values: Floats, count: int, sums: Floats) -> None:
     """Fill the sums of products (N, N) of N lists (N, K), of which the first `count` entries count."""
     for a in range(len(values)):
         for b in range(a + 1):
@@ -161,7 +222,7 @@ def _sum_moments(
                     for a in range(4):
                         values[1 + a, count] = filtered[a, y, x]
                     count += 1
-        sum_products(values, count, moments[number])
+        _sum_products(values, count, moments[number])
 
 
 @compiled
@@ -228,3 +289,25 @@ def _filter(
                 change += taps[0, k] * across[2, y + k, x]
             filtered[0, y, x], filtered[1, y, x] = level, -by_x
             filtered[2, y, x], filtered[3, y, x] = -by_y, change
+
+
+@compiled
+def _sum_coordinate_products(projector_px: Floats32, moments: Floats) -> None:
+    """Fill the sums (rows, columns, 5, 5) over the known pixels (H, W, 2) of each tile of products of 1, the pixel's
+    column and row from the middle of the image, and its coordinates.
+    """
+    rows, columns, _, _ = moments.shape
+    height, width, _ = projector_px.shape
+    values = np.empty((5, TILE_PX * TILE_PX))
+    for row in range(rows):
+        for column in range(columns):
+            filled = 0
+            for y in range(row * TILE_PX, (row + 1) * TILE_PX):
+                for x in range(column * TILE_PX, (column + 1) * TILE_PX):
+                    across, down = projector_px[y, x, 0], projector_px[y, x, 1]
+                    if across == across and down == down:
+                        values[0, filled], values[1, filled], values[2, filled] = 1.0, x - width / 2, y - height / 2
+                        values[3, filled], values[4, filled] = across, down
+                        filled += 1
+            if filled:
+                _sum_products(values, filled, moments[row, column])

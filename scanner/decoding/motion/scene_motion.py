@@ -12,54 +12,23 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Floats32, Ints, Window, around, at_random, compiled
 from scanner.decoding.motion.motion_estimate import SUSPECTED_PX
-from scanner.decoding.motion.registration import TILE_PX, TileWarp, centres_of_tiles, shifts_of_tiles, sum_products
+from scanner.decoding.motion.registration import (
+    AROUND_TILES,
+    TILE_PX,
+    TilePlanes,
+    TileWarp,
+    centres_of_tiles,
+    planes_of_tiles,
+    shifts_of_tiles,
+)
 from scanner.decoding.motion.rigid_motion import COLUMNS, PER_DEVICE, RigidFit, fit_motion, shifts_of_picture
-from scanner.decoding.significance import FEWEST_PIXELS, HALF, HUBER_SIGMAS, NEGLIGIBLE, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import HALF, HUBER_SIGMAS, NEGLIGIBLE, SIGNIFICANT_SIGMAS
 
-# Largest rms distance from a plane, in projector px: tiles on edges or curved surfaces are rejected.
-MOST_ROUGH_PX = 0.7
-# A tile's plane is fitted to its own decoded pixels and its neighbours', in a window of this size, and extrapolated as
-# many tiles beyond decoded ones: there the border of a picture that moved is masked.
-_AROUND_TILES = 3
 # Light reaches this far, in cells of some pixels, from pixels that are decoded.
 _LIT_CELLS, _CELL_PX = 2, 4
 # Least ratio of the determinant of a gradient to its squares: with less, pixels on a line decided the plane.
 _MOST_OBLIQUE = 0.05
 SCENE, BORDER = 1, 2
-
-
-@dataclass(frozen=True)
-class TilePlanes:
-    """Coordinates of T tiles: `projector_px` (T, 2) in their middles, and the `gradient` (T, 2, 2) by camera x and y.
-
-    NaN where the coordinates are unknown or not smooth.
-    """
-
-    projector_px: Floats
-    gradient: Floats
-
-    @property
-    def known(self) -> Bools:
-        """(T,): the tiles that have a plane."""
-        return np.asarray(np.isfinite(self.gradient).all(axis=(1, 2)), np.bool_)
-
-    def extrapolated(self, shape: tuple[int, ...]) -> "TilePlanes":
-        """Return these planes, and those of the nearest known tiles for the unknown ones of an image (H, W)."""
-        rows, columns = (size // TILE_PX for size in shape)
-        known = self.known
-        if not known.any():
-            return self
-        far, label = cv2.distanceTransformWithLabels(
-            (~known).reshape(rows, columns).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-        )
-        of_label = np.zeros(int(label.max()) + 1, np.int64)
-        of_label[label.reshape(-1)[known]] = np.flatnonzero(known)
-        nearest = of_label[label.reshape(-1)]
-        gradient, centre = self.gradient[nearest], centres_of_tiles(shape)
-        projector_px = self.projector_px[nearest] + np.einsum("tac,tc->ta", gradient, centre - centre[nearest])
-        beyond = far.reshape(-1) > _AROUND_TILES
-        projector_px[beyond], gradient[beyond] = np.nan, np.nan
-        return TilePlanes(projector_px, gradient)
 
 
 @dataclass(frozen=True)
@@ -175,7 +144,7 @@ def part_around(projector_px: Floats32, scale: int) -> Window:
     """
     known: Bools = np.isfinite(projector_px[::_CELL_PX, ::_CELL_PX, 0])
     tile_px = scale * TILE_PX
-    spans = around(known if known.any() else ~known, -(-2 * _AROUND_TILES * tile_px // _CELL_PX))
+    spans = around(known if known.any() else ~known, -(-2 * AROUND_TILES * tile_px // _CELL_PX))
     rows, columns = (
         slice(
             _CELL_PX * span.start // tile_px * tile_px,
@@ -184,48 +153,6 @@ def part_around(projector_px: Floats32, scale: int) -> Window:
         for span, size in zip(spans, projector_px.shape[:2], strict=True)
     )
     return rows, columns
-
-
-def planes_of_tiles(projector_px: Floats32, step_px: float) -> TilePlanes:
-    """Fit planes to the coordinates (H, W, 2) of all camera pixels, in steps of `step_px`, NaN where unknown."""
-    shape = projector_px.shape[:2]
-    rows, columns = (size // TILE_PX for size in shape)
-    moments = np.zeros((rows, columns, 5, 5))
-    _sum_moments(projector_px, TILE_PX, moments)
-    window = (_AROUND_TILES, _AROUND_TILES)
-    moments = cv2.boxFilter(
-        moments.reshape(rows, columns, -1), -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT
-    ).reshape(-1, 5, 5)
-    planes = np.linalg.solve(moments[:, :3, :3] + 1e-6 * np.eye(3), moments[:, :3, 3:])
-    squares = np.trace(moments[:, 3:, 3:] - moments[:, 3:, :3] @ planes, axis1=1, axis2=2)
-    count = moments[:, 0, 0]
-    smooth = (count >= FEWEST_PIXELS) & (squares < (MOST_ROUGH_PX**2 + 2 * step_px**2 / 12) * count)
-    smooth_planes: Floats = np.where(smooth[:, None, None], planes, np.nan)
-    offset = centres_of_tiles(shape) - np.array(shape[::-1]) / 2
-    at_centre: Floats = smooth_planes[:, 0] + np.einsum("ta,tac->tc", offset, smooth_planes[:, 1:])
-    return TilePlanes(at_centre, smooth_planes[:, 1:].transpose(0, 2, 1))
-
-
-@compiled
-def _sum_moments(projector_px: Floats32, tile_px: int, moments: Floats) -> None:
-    """Fill the sums (rows, columns, 5, 5) over the known pixels (H, W, 2) of each tile of products of 1, the pixel's
-    column and row from the middle of the image, and its coordinates.
-    """
-    rows, columns, _, _ = moments.shape
-    height, width, _ = projector_px.shape
-    values = np.empty((5, tile_px * tile_px))
-    for row in range(rows):
-        for column in range(columns):
-            filled = 0
-            for y in range(row * tile_px, (row + 1) * tile_px):
-                for x in range(column * tile_px, (column + 1) * tile_px):
-                    across, down = projector_px[y, x, 0], projector_px[y, x, 1]
-                    if across == across and down == down:
-                        values[0, filled], values[1, filled], values[2, filled] = 1.0, x - width / 2, y - height / 2
-                        values[3, filled], values[4, filled] = across, down
-                        filled += 1
-            if filled:
-                sum_products(values, filled, moments[row, column])
 
 
 @compiled
