@@ -120,6 +120,6 @@ def shape_poses(first: Surfaces, second: Surfaces) -> list[Pose]:
         there = np.isfinite(image.normals[..., 2])
         middles.append(np.median(image.points[there], axis=0))
         samples.append(sample_surface(image.points[there] - middles[-1], image.normals[there], cell, 0.0))
-    poses = surface_poses(samples[0], samples[1])
+    (poses,) = surface_poses(samples[0], samples[1])
     to, of = (Pose(np.eye(3), middle) for middle in middles)
     return [to @ poses[k] @ of.inverse() for k in range(min(_MOST_SHAPES, len(poses.translation)))]

@@ -6,6 +6,7 @@ feature histograms (FPFH) for 3D registration", 2009), by Open3D. Walls have no 
 things that overlap widely descend from one of many rotations.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -35,26 +36,32 @@ _PLANES, _PLANE_SAMPLES, _LEAST_PLANE = 12, 4000, 0.02  # the last as a share of
 _OFF_PLANE = 0.6  # cells
 
 
-def surface_poses(first: SampledSurface, second: SampledSurface) -> Pose:
-    """Poses (K,) X_first = R X_second + t that are worth a closer look, best first.
+def surface_poses(first: SampledSurface, second: SampledSurface, signs: Sequence[float] = (1.0,)) -> list[Pose]:
+    """Poses (K,) X_first = R X_second + t that are worth a closer look, best first, for each of the `signs` of the
+    second one's normals.
 
     Both surfaces have the same cell, and their middles near the origin. Raises ImportError where Open3D is missing.
     """
-    field = nearest_field(first)
-    patches = second.some(_MANY)
-    reach = 0.75 * (first.extent + second.extent)
-    starts = [
-        _most_promising(field, patches, _feature_poses(first, second)),
-        _most_promising(field, patches, poses_by_planes(_planes(first), _planes(second), reach, is_upright=False)),
-    ]
-    turns = even_rotations(_TURNS)
-    middles = [surface.some(_MANY).patches.normal_centre(0.0) for surface in (first, second)]
-    starts.append(Pose(turns, middles[0] - turns @ middles[1]))
-    wide, worth = descended(field, patches.some(_SOME).patches, Pose.concatenate(starts), first.cell * _WIDE)
-    chosen = distinct_poses(wide, worth, _SAME_TURN, _SAME_CELLS * first.cell, _FOLLOWED)
-    close, worth = descended(field, patches.patches, wide[chosen], first.cell * _CLOSE)
-    chosen = distinct_poses(close, worth, _SAME_TURN, _SAME_CELLS * first.cell, _KEPT)
-    return close[chosen]
+    field, reach = nearest_field(first), 0.75 * (first.extent + second.extent)
+    planes, (other_planes, areas) = _planes(first), _planes(second)
+    found = []
+    for sign in signs:
+        turned = second if sign > 0 else second.flipped
+        patches = turned.some(_MANY)
+        by_planes = poses_by_planes(planes, (sign * other_planes, areas), reach, is_upright=False)
+        turns = even_rotations(_TURNS)
+        middles = [surface.some(_MANY).patches.normal_centre(0.0) for surface in (first, turned)]
+        starts = [
+            _most_promising(field, patches, _feature_poses(first, turned)),
+            _most_promising(field, patches, by_planes),
+            Pose(turns, middles[0] - turns @ middles[1]),
+        ]
+        wide, worth = descended(field, patches.some(_SOME).patches, Pose.concatenate(starts), first.cell * _WIDE)
+        chosen = distinct_poses(wide, worth, _SAME_TURN, _SAME_CELLS * first.cell, _FOLLOWED)
+        close, worth = descended(field, patches.patches, wide[chosen], first.cell * _CLOSE)
+        chosen = distinct_poses(close, worth, _SAME_TURN, _SAME_CELLS * first.cell, _KEPT)
+        found.append(close[chosen])
+    return found
 
 
 def _most_promising(field: NearestField, patches: SampledSurface, poses: Pose) -> Pose:

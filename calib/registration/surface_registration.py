@@ -130,13 +130,14 @@ def _refined(sides: ScaledPair, starts: Pose | None, *, with_scale: bool) -> lis
     """The hypotheses for one scale, refined and judged."""
     first, second = (side.fine.coarser(sides.coarse) for side in (sides.first, sides.second))
     signs = (1.0,) if first.is_oriented and second.is_oriented else (1.0, -1.0)
+    if starts is None:
+        hypotheses = surface_poses(first, second, signs)
+    else:
+        to, of = (Pose(np.eye(3), side.middle) for side in (sides.first, sides.second))
+        begun = Pose(starts.rotation, starts.translation + starts.rotation @ of.translation - to.translation)
+        hypotheses = [begun] * len(signs)
     candidates: list[_Candidate] = []
-    for sign in signs:
-        if starts is None:
-            poses = surface_poses(first, second if sign > 0 else second.flipped)
-        else:
-            to, of = (Pose(np.eye(3), side.middle) for side in (sides.first, sides.second))
-            poses = Pose(starts.rotation, starts.translation + starts.rotation @ of.translation - to.translation)
+    for sign, poses in zip(signs, hypotheses, strict=True):
         settled = (_settled(sides, poses[k], sign, with_scale=with_scale) for k in range(len(poses.translation)))
         candidates += [candidate for candidate in settled if candidate is not None]
     return candidates
