@@ -142,10 +142,8 @@ def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> Nois
         return NoiseModel(_QUANTISATION, 0.0)
     contrast = float(np.quantile(np.ptp(levels, axis=0), _BRIGHTEST))
     repeats = [*ConstraintSet(plan).repeats(levels)]
-    curvature = sample.curvature
-    if curvature is not None:
-        rows = zip(levels, curvature, strict=True)
-        repeats += [(level, bend / np.float32(np.sqrt(6))) for level, bend in rows]
+    if (curvature := sample.curvature) is not None:
+        repeats += [(level, bend / np.float32(np.sqrt(6))) for level, bend in zip(levels, curvature, strict=True)]
     means, differences = (np.stack(parts)[:, unsaturated] for parts in zip(*repeats, strict=True))
     noise = _fit(*_variance_by_level(medians(means, axis=0), differences))
     return replace(noise, stray=min(max(_ROUNDING, STRAY_PART * contrast), _MOST_STRAY))
@@ -245,8 +243,7 @@ class _Group:
 def find_violations(
     plan: SequencePlan, levels: Floats32, noise: NoiseModel, static: Bools | None = None
 ) -> list[tuple[tuple[int, ...], Bools]]:
-    """Return groups of frames, each with the lit pixels (P,) at which they contradict each other or the rest; `levels`
-    (frames, P).
+    """Return groups of frames, each with the pixels (P,) of lit `levels` (frames, P) at which they contradict others.
 
     The `static` pixels (P,) give the usual deviation; None if they are unknown.
     """
@@ -315,8 +312,7 @@ def _deviation_from_usual(levels: Floats32, usual: Floats32) -> Floats32:
     Brightness has mostly been equalised already, but not of the first frames, nor for cameras that respond less to
     bright light.
     """
-    by = usual / np.maximum(levels.mean(axis=0), 1e-6)
-    _, residual = _fit_most(levels, usual, _most_concentrated(by))
+    _, residual = _fit_most(levels, usual, _most_concentrated(usual / np.maximum(levels.mean(axis=0), 1e-6)))
     return residual
 
 

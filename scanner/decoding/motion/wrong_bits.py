@@ -44,8 +44,7 @@ def mask_wrong_bits(plan: SequencePlan, maps: CoordinateMap, moved: Bools | None
     """Return the map with the pixels masked that have wrong bits.
 
     `moved` (H, W): where something is known to have moved, or None. With fringes, wrong bits are period slips relative
-    to the surface around. With codes alone, they are patches whose pixels are inconsistent or jump, unless such patches
-    cover most of the picture.
+    to the surface around; with codes alone, patches that are inconsistent or jump, unless these cover most of it.
     """
     wrong = in_wrong_cycles(plan, maps) if plan.fringes else _in_broken_patches(plan, maps)
     wrong &= ~maps.masked_as(MaskReason.DARK)
@@ -230,12 +229,9 @@ def repair_codes(code_images: CodeImages, inconsistent: InconsistentPixels | Non
     if inconsistent is None:
         return None
     unrepaired, decided = (np.zeros(code_images.white.shape, np.bool_) for _ in range(2))
+    corrupted = inconsistent.corrupted_by_frames
     for code_words in code_images.codes:
-        by_bit = {
-            bit: inconsistent.corrupted_by_frames[pair]
-            for bit, pair in code_words.code.pairs.items()
-            if pair in inconsistent.corrupted_by_frames
-        }
+        by_bit = {bit: corrupted[pair] for bit, pair in code_words.code.pairs.items() if pair in corrupted}
         if by_bit and code_words.code.base is None:
             frames = dict(code_images.equalised(frames=code_words.code.frames))
             repaired = repair_bits(code_words, by_bit, frames, inconsistent.static)
