@@ -77,13 +77,13 @@ def _reproject(
         np.zeros((count, 3, of_warp)),
     )
     rays_into(camera_lens, camera_warp, camera_sides, camera_px, rays, rays_by_lens, rays_by_warp)
-    along, off, before, depths = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 2))
+    along, off, before, deep = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 2))
     distance = offset - _dot(normal, centre)
     for i in range(count):
         for k in range(3):
             along[i, k] = _dot(turn[k], rays[i])
         facing = _dot(along[i], normal)
-        depths[i, 0] = distance / facing
+        deep[i, 0] = distance / facing
         for k in range(3):
             along[i, k] /= facing
             off[i, k] = along[i, k] * distance
@@ -91,7 +91,7 @@ def _reproject(
             before[i, k] = 0.0
             for c in range(3):
                 before[i, k] += projector_turn[c, k] * (off[i, c] + centre[c] - projector_centre[c])
-        depths[i, 1] = before[i, 2]
+        deep[i, 1] = before[i, 2]
 
     pixels, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
     by_lens, by_warp = np.zeros((count, 2, of_device)), np.zeros((count, 2, of_warp))
@@ -110,7 +110,7 @@ def _reproject(
             for c in range(3):
                 onto[c] = by[c] - slid * normal[c]
             for c in range(3):
-                by_ray[c] = depths[i, 0] * (onto[0] * turn[0, c] + onto[1] * turn[1, c] + onto[2] * turn[2, c])
+                by_ray[c] = deep[i, 0] * (onto[0] * turn[0, c] + onto[1] * turn[1, c] + onto[2] * turn[2, c])
             for c in range(of_device):
                 row[c] = by_ray[0] * rays_by_lens[i, 0, c] + by_ray[1] * rays_by_lens[i, 1, c]
                 row[second + c] = by_lens[i, k, c]
@@ -127,7 +127,7 @@ def _reproject(
             for c in range(2):
                 row[tilts + c] = -slid * (point[0] * basis[0, c] + point[1] * basis[1, c] + point[2] * basis[2, c])
             row[tilts + 2] = slid
-    return pixels, jacobian, depths
+    return pixels, jacobian, deep
 
 
 @compiled

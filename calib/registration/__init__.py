@@ -63,6 +63,7 @@ from calib.registration.sampled_surface import (
     SampledSurface,
     cell_numbers,
     extent_of,
+    is_closed,
     local_noise,
     measured_noise,
     sample_mesh,

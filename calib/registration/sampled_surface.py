@@ -16,6 +16,7 @@ from calib.numerics import Bools, Floats, Ints, evenly_spread, median
 from calib.pointcloud import scattered_surface
 from calib.registration.projection import Patches
 
+_WELDED = 1e-7  # of a mesh's extent: corners nearer to each other are one
 _NEIGHBOURS = 12  # of a point, for planes through them
 _NOISE_SAMPLE = 3000  # points
 _LOCAL_SAMPLE, _LOCAL = 12_000, 24  # points where noise is measured, and neighbouring ones whose median it is
@@ -297,6 +298,20 @@ def _oriented(points: Floats, normals: Floats) -> Floats:
     nearest = np.asarray(scipy.spatial.cKDTree(points[chosen]).query(points)[1])
     sign = np.where(np.sum(normals * agreed[nearest], axis=1) < 0, -1.0, 1.0)
     return normals * sign[:, None]
+
+
+def is_closed(vertices: Floats, triangles: Ints) -> bool:
+    """Whether a mesh is all of one or several bodies' surface: every edge belongs to an even number of triangles.
+
+    Corners in one place, as each triangle of an STL file has its own, are one.
+    """
+    grid = max(extent_of(vertices, 0.0) * _WELDED, np.finfo(np.float64).tiny)
+    _, welded = np.unique(np.rint(vertices / grid).astype(np.int64), axis=0, return_inverse=True)
+    corners = welded.reshape(-1)[triangles]
+    corners = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
+    edges = np.sort(np.stack([corners, np.roll(corners, 1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    counts = np.unique(edges, axis=0, return_counts=True)[1]
+    return len(counts) > 0 and bool(np.all(counts % 2 == 0))
 
 
 def sample_mesh(vertices: Floats, triangles: Ints, count: int) -> tuple[Floats, Floats]:

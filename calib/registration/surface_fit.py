@@ -109,7 +109,7 @@ _FAR = 3.0  # coarse cells, up to which it does
 _LEAST_SHARE = 0.85  # of samples that agree, among those that say something
 _LEAST_CELLS = 30.0  # coarse cells that agree
 _LEAST_OVERLAP = 0.06
-_RIVAL_CELLS = 0.5  # of the best one's agreeing cells, that make another pose a rival
+_RIVAL_CELLS, _RIVAL_OF_ALL = 0.5, 0.8  # of the best one's agreeing cells, that make another pose a rival
 _SURE, _BY_CHANCE = 2.0, 0.3  # standard deviations; contradictions that are expected where there are none
 _CLUSTER = 0.25  # coarse cells, whose contradiction counts as one
 _SAME_TOLERANCES = 4.0
@@ -194,9 +194,13 @@ def needs_mirror_test(judged: SurfacePose) -> bool:
     return not judged.shows_more_than_bounds or bool(judged.contradicting / _CLUSTER > by_chance)
 
 
-def is_rival(one: SurfacePose, other: SurfacePose) -> bool:
-    """Whether a pose explains about as much as another or more."""
-    return one.agreeing > _RIVAL_CELLS * other.agreeing
+def is_rival(one: SurfacePose, other: SurfacePose, *, is_all: bool = False) -> bool:
+    """Whether a pose explains about as much as another or more.
+
+    `is_all`: the other one explains all of a scan by all of a body, which the right pose does. One that leaves a fifth
+    of the scan where the body has no surface is then no rival; of two views it may be right, as they need not overlap.
+    """
+    return one.agreeing > (_RIVAL_OF_ALL if is_all else _RIVAL_CELLS) * other.agreeing
 
 
 def surpasses(one: SurfacePose, other: SurfacePose) -> bool:

@@ -93,6 +93,8 @@ class SurfacePoints:
     """Standard deviation of a point along its normal; measured if None."""
     eye: Floats | None = None
     """(3,): the scanner, if all points were seen from one place and it is known: the space in between is free."""
+    is_closed: bool = False
+    """Whether it is all of a body's surface, as a CAD model is: nothing of the body is elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +191,7 @@ class SurfacePair:
             if count <= _MOST_COARSE:
                 break
             coarse *= 1.1 * float(np.sqrt(count / _MOST_COARSE))
-        return ScaledPair(sides[0], sides[1], coarse, scale)
+        return ScaledPair(sides[0], sides[1], coarse, scale, self.first.is_closed or self.second.is_closed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +204,8 @@ class ScaledPair:
     """Edge of a coarse cell."""
     scale: float
     """Factor of the second one's lengths."""
+    has_closed: bool = False
+    """Whether one of the two is all of a body's surface."""
 
     @property
     def tolerance(self) -> float:
@@ -218,7 +222,7 @@ def _thinned(side: SurfacePoints) -> SurfacePoints:
         return side
     normals = None if side.normals is None else evenly_spread(side.normals, _MOST_POINTS)
     noise = measured_noise(side.points) if side.noise is None else side.noise
-    return SurfacePoints(evenly_spread(side.points, _MOST_POINTS), normals, noise, side.eye)
+    return replace(side, points=evenly_spread(side.points, _MOST_POINTS), normals=normals, noise=noise)
 
 
 def _from(eye: Floats | None, middle: Floats, scale: float = 1.0) -> Floats | None:

@@ -178,7 +178,8 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool, check_mirrored: b
     made = SurfaceRegistration(Alignment.LOOSE, whole, (), free, centre + shift, unknown, residual, tolerance)
     if free:
         return made
-    rivals = [each for each in ordered[1:] if is_rival(each.judged, whole)]
+    is_all = best.sides.has_closed and max(whole.overlap) > _WHOLE
+    rivals = [each for each in ordered[1:] if is_rival(each.judged, whole, is_all=is_all)]
     alternatives: list[SurfacePose] = []
     points = best.sides.second.fine.some(500).points + best.sides.second.middle
     for rival in rivals:

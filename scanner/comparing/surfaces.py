@@ -10,7 +10,7 @@ from calib.diagnostics import SystematicErrors
 from calib.geometry import Pose
 from calib.numerics import Bools, Floats, Ints, evenly_spread, in_slices
 from calib.pointcloud import point_covariances
-from calib.registration import SurfacePoints, sample_mesh
+from calib.registration import SurfacePoints, is_closed, sample_mesh
 from scanner.cleaning import CleanedResult, read_cleaned
 from scanner.errors import InputError
 from scanner.exporting import mesh_in_axes
@@ -69,7 +69,7 @@ class ComparedSurface:
         """For the registration."""
         if self.triangles is not None:
             points, normals = sample_mesh(self.points, self.triangles, _OF_MESH)
-            return SurfacePoints(points, normals, 0.0)
+            return SurfacePoints(points, normals, 0.0, is_closed=is_closed(self.points, self.triangles))
         noise = None if self.noise is None else float(np.median(self.noise))
         return SurfacePoints(self.points, self.normals, noise, self.eye)
 

@@ -1,5 +1,7 @@
 """Clouds and meshes are registered without a first guess, or it is said why there is no answer."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,9 +10,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Pose, rotation_vector
-from calib.numerics import Floats
+from calib.numerics import Floats, Ints
 from calib.pointcloud import surface
-from calib.registration import Alignment, SurfacePoints, SurfaceRegistration, register_surfaces, sample_mesh
+from calib.registration import Alignment, SurfacePoints, SurfaceRegistration, is_closed, register_surfaces, sample_mesh
 from calib.synthetic import STATION_CAMERA, CloudErrors, random_furnished_room, ring, seen_from
 from tests.support.blob import Blob
 
@@ -211,3 +213,41 @@ def test_a_part_of_flat_faces_is_answered_though_its_mirror_image_fits_as_well()
     assert found.alignment is Alignment.UNIQUE
     assert found.best is not None
     assert np.linalg.norm(found.best.pose @ truth.inverse().__matmul__(points) - points, axis=1).max() < 0.1
+
+
+def box(size: tuple[float, float, float], corner: tuple[float, float, float]) -> tuple[Floats, Ints]:
+    """Corners and triangles of a box, outwards."""
+    hull = ConvexHull(np.array(list(product((0.0, 1.0), repeat=3))))
+    a, b, c = hull.points[hull.simplices.T]
+    outwards = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) > 0
+    triangles = np.where(outwards[:, None], hull.simplices, hull.simplices[:, ::-1])
+    return hull.points * size + corner, triangles.astype(np.int64)
+
+
+def test_a_view_that_a_whole_model_explains_is_answered_though_half_of_it_fits_elsewhere() -> None:
+    """A bracket seen from one side: turned by half a turn, its plate and its wall lie on themselves."""
+    boxes = [
+        box((100, 60, 10), (0, 0, 0)),
+        box((10, 60, 50), (0, 0, 10)),
+        box((30, 10, 20), (40, 50, 10)),
+        box((12, 8, 6), (70, 10, 10)),
+    ]
+    vertices = np.concatenate([corners for corners, _ in boxes])
+    triangles = np.concatenate([of_box + 8 * number for number, (_, of_box) in enumerate(boxes)])
+    assert is_closed(vertices, triangles)
+    assert is_closed(vertices[triangles].reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)), "as of STL"
+    assert not is_closed(vertices, triangles[1:])
+    points, normals = sample_mesh(vertices, triangles, 60_000)
+    low, high = (np.array([of(corners[:, :2], axis=0) for corners, _ in boxes[1:]]) for of in (np.min, np.max))
+    on_plate = np.all((points[:, None, :2] > low) & (points[:, None, :2] < high), axis=2).any(axis=1)
+    hidden = on_plate & (np.abs(points[:, 2] - 10) < 0.1)
+    seen = (normals @ np.array([0.68, -0.41, 0.61]) > 0.2) & ~hidden
+    noise = 0.02 * np.random.default_rng(0).standard_normal((len(points), 1))
+    truth = a_pose(21)
+    view = moved((points + noise * normals)[seen], normals[seen], truth.inverse())
+    found = register_surfaces(SurfacePoints(points, normals, 0.0, is_closed=True), view)
+    assert found.alignment is Alignment.UNIQUE
+    assert found.best is not None
+    assert np.linalg.norm((found.best.pose @ truth.inverse()) @ points - points, axis=1).max() < 0.1
+    # Of a scan of the bracket, more may be elsewhere.
+    assert register_surfaces(SurfacePoints(points, normals, 0.0), view).alignment is Alignment.AMBIGUOUS
