@@ -45,7 +45,14 @@ from calib.deferred_imports import open3d
 from calib.geometry import Pose, rotation_vector
 from calib.numerics import Floats, Ints
 from calib.pointcloud import scattered_surface, surface
-from calib.registration import Alignment, SurfacePoints, SurfaceRegistration, register_surfaces, sample_mesh
+from calib.registration import (
+    Alignment,
+    SurfacePoints,
+    SurfaceRegistration,
+    is_closed,
+    register_surfaces,
+    sample_mesh,
+)
 from calib.synthetic import STATION_CAMERA, CloudErrors, random_furnished_room, ring, seen_from
 from hw.settings import ThingSettings
 from hw.simulated.things import draw_solid
@@ -291,7 +298,7 @@ def placed(points: SurfacePoints, pose: Pose) -> SurfacePoints:
 def sampled(mesh: tuple[Floats, Ints]) -> SurfacePoints:
     """Points of a mesh with outward normals, without noise."""
     points, normals = sample_mesh(*mesh, _OF_MESH)
-    return SurfacePoints(points, normals, 0.0)
+    return SurfacePoints(points, normals, 0.0, is_closed=is_closed(*mesh))
 
 
 def with_normals(points: SurfacePoints, eye: Floats) -> SurfacePoints:
