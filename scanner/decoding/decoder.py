@@ -25,7 +25,7 @@ from scanner.decoding.frame_stack import FrameCollector, FrameStack
 from scanner.decoding.fringes.single_fringe import shift_of, unchecked_finding
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.image_quality import FinestStripes, finest_stripes, too_dark, warnings_of
-from scanner.decoding.light.constraints import NoiseModel, measure_noise
+from scanner.decoding.light.constraints import NoiseModel
 from scanner.decoding.light.frame_checks import suspected
 from scanner.decoding.light.samples import Samples
 from scanner.decoding.map_checks import annotate_errors, assess_anomalies, check_cycles, mask_stray_light
@@ -124,13 +124,17 @@ def decode(stack: FrameStack, projector_size: tuple[int, int], calibration: Cali
     samples = frames.sampled() if corrections.are_any else stack.samples.copy()
     images = CodeImages(frames, samples.scattered, stack.log_exposure)
     observed = observe(images, samples, projector_size)
+    # That of the camera itself, not of its corrected frames.
+    noise = stack.noise if corrections.response else observed.noise
     with attribute_to_motion(lambda: observed.motion, observed.phase_jump):
         axes = calibrate_axes(images, samples.scattered, observed)
-        plan, completion = images.plan, one_axis(stack.plan, calibration)
+        plan, white, completion = images.plan, images.white, one_axis(stack.plan, calibration)
         with attribute_to_shifts(observed.code_shifts):
             with annotate_errors(axes.anomalies):
                 pixels = _decode_pixels(images, samples, axes, observed, projector_size)
-                matches, reasons = collect_matches(plan, pixels.coordinates, pixels.cells_px, images.white, completion)
+                del images, frames  # which are larger than what follows
+                stack = stack.without_frames()
+                matches, reasons = collect_matches(plan, pixels.coordinates, pixels.cells_px, white, completion)
                 judged = assess_anomalies(axes.anomalies, reasons, matches, one_axis=completion is not None)
             refuse_period_slips(observed.code_shifts)
             if observed.inconsistent is None:
@@ -150,10 +154,7 @@ def decode(stack: FrameStack, projector_size: tuple[int, int], calibration: Cali
         matches,
         stack.texture,
         reasons,
-        # Of the camera itself, not of its corrected frames.
-        measure_noise(stack.plan, stack.samples.scattered, stack.saturation)
-        if corrections.response
-        else observed.noise,
+        noise,
         axes.modulation,
         tuple(finding for finding in findings if finding),
         flicker=observed.flicker,

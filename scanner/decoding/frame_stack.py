@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import WHOLE, Floats32, Image, Part
-from scanner.decoding.light.constraints import measure_noise, needs_neighbours
+from scanner.decoding.light.constraints import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.light.exposures import ExposureMerger, exposures_of, saturation_level
 from scanner.decoding.light.samples import Samples
 from scanner.decoding.planning import plan_sequence, usable
@@ -68,6 +68,15 @@ class FrameStack:
     def saturation(self) -> float:
         """The saturation level of the fringes, or without fringes of white, or without white of all frames."""
         return saturation_level(*self.showing(self.plan.fringe_frames))
+
+    @property
+    def noise(self) -> NoiseModel:
+        """That of a pixel of the frames as they were taken."""
+        return measure_noise(self.plan, self.samples.scattered, self.saturation)
+
+    def without_frames(self) -> "FrameStack":
+        """Return what is left to tell of the capture once its frames are decoded."""
+        return replace(self, frames=np.empty((0, *self.frames.shape[1:]), self.frames.dtype))
 
     def showing(self, numbers: Sequence[int]) -> list[Image]:
         """Return the frames (H, W) with these numbers; if there are none white or, without white, all."""
@@ -249,9 +258,8 @@ def _late_places(stack: FrameStack, copies: Sequence[int]) -> list[int]:
     late = [place for place in copies if stack.plan.shown[place] != stack.plan.shown[place - 1]]
     if not late:
         return []
-    noise = measure_noise(stack.plan, stack.samples.scattered, stack.saturation)
     brightest = stack.samples.scattered.levels.max(axis=0)
-    return late if float(np.median(noise.sigma(brightest))) > _LEAST_NOISE else []
+    return late if float(np.median(stack.noise.sigma(brightest))) > _LEAST_NOISE else []
 
 
 def _patterns_without(
