@@ -31,6 +31,7 @@ from calib.geometry.pose import (
     Pose,
     cross,
     cross_matrix,
+    dot,
     nearest_rotation,
     rotation_about,
     rotation_vector,

@@ -270,6 +270,13 @@ def tangent_basis(direction: Floats) -> Floats:
     return basis
 
 
+@compiled
+def dot(a: Floats, b: Floats) -> float:
+    """a · b of two vectors (3,), for compiled functions."""
+    product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
+
+
 def cross(a: Floats, b: Floats) -> Floats:
     """a × b along the last axis, broadcast; several times faster than numpy's for short arrays."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.estimation import Cells, Problem
-from calib.geometry import PER_PLANE, Matches, Plane, Pose, Size, tangent_basis, unproject
+from calib.geometry import PER_PLANE, Matches, Plane, Pose, Size, dot, tangent_basis, unproject
 from calib.networks.network import PER_NODE, Device, DeviceNumbers, Network, pixels_into, rays_into
 from calib.networks.raster import ImageRaster, SeenAt, depths
 from calib.networks.shared_points import SharedPoints, shared_points
@@ -78,11 +78,11 @@ def _reproject(
     )
     rays_into(camera_lens, camera_warp, camera_sides, camera_px, rays, rays_by_lens, rays_by_warp)
     along, off, before, deep = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 2))
-    distance = offset - _dot(normal, centre)
+    distance = offset - dot(normal, centre)
     for i in range(count):
         for k in range(3):
-            along[i, k] = _dot(turn[k], rays[i])
-        facing = _dot(along[i], normal)
+            along[i, k] = dot(turn[k], rays[i])
+        facing = dot(along[i], normal)
         deep[i, 0] = distance / facing
         for k in range(3):
             along[i, k] /= facing
@@ -105,8 +105,8 @@ def _reproject(
         for k in range(2):
             row = jacobian[i, k]
             for c in range(3):
-                by[c] = _dot(by_point[i, k], projector_turn[c])
-            slid = _dot(by, along[i])
+                by[c] = dot(by_point[i, k], projector_turn[c])
+            slid = dot(by, along[i])
             for c in range(3):
                 onto[c] = by[c] - slid * normal[c]
             for c in range(3):
@@ -128,12 +128,6 @@ def _reproject(
                 row[tilts + c] = -slid * (point[0] * basis[0, c] + point[1] * basis[1, c] + point[2] * basis[2, c])
             row[tilts + 2] = slid
     return pixels, jacobian, deep
-
-
-@compiled
-def _dot(a: Floats, b: Floats) -> float:
-    dot: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return dot
 
 
 NetworkProblem = Problem[Network, PlaneObservation]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.geometry import project_into, unproject_into
+from calib.geometry import dot, project_into, unproject_into
 from calib.numerics import Floats, Ints, compiled
 
 _FACES, _PER_CORNER, _PER_POSE, _PER_PLANE = 3, 3, 6, 3
@@ -61,21 +61,21 @@ def reproject(
         if not 0 <= plane[i] < len(normals):
             raise IndexError("a match is on a plane that its capture does not have")
         normal = normals[plane[i]]
-        depths[i, 0] = (_dot(normal, vertex) + heights[plane[i]]) / _dot(normal, rays[i])
+        depths[i, 0] = (dot(normal, vertex) + heights[plane[i]]) / dot(normal, rays[i])
         for k in range(3):
-            turned[i, k] = depths[i, 0] * _dot(rotation[k], rays[i])
+            turned[i, k] = depths[i, 0] * dot(rotation[k], rays[i])
             moved[i, k] = turned[i, k] + translation[k]
         depths[i, 1] = moved[i, 2]
     pixels, by_moved, by_projector = np.empty((count, 2)), np.empty((count, 2, 3)), np.zeros((count, 2, of_device))
     project_into(devices[1], moved, pixels, by_moved, by_projector)
 
     jacobian = np.empty((count, 2, translation_by_columns.shape[1]))
-    distance, to_vertex, by_point = np.sqrt(_dot(vertex, vertex)), np.empty(3), np.empty(3)
+    distance, to_vertex, by_point = np.sqrt(dot(vertex, vertex)), np.empty(3), np.empty(3)
     of_device_2, of_rotation, of_angles = first
     of_pose = of_angles + _PER_CORNER
     for i in range(count):
         on, ray, turn, depth = plane[i], rays[i], turned[i], depths[i, 0]
-        normal, facing = normals[on], _dot(normals[on], rays[i])
+        normal, facing = normals[on], dot(normals[on], rays[i])
         for k in range(3):
             to_vertex[k] = vertex[k] - depth * ray[k]
         for k in range(2):
@@ -88,7 +88,7 @@ def reproject(
                 )
             for c in range(3):
                 by_point[c] = by[0] * rotation[0, c] + by[1] * rotation[1, c] + by[2] * rotation[2, c]
-            along = _dot(by_point, ray) / facing
+            along = dot(by_point, ray) / facing
             by_x, by_y = depth * (by_point[0] - along * normal[0]), depth * (by_point[1] - along * normal[1])
             for c in range(of_device):
                 row[c] += by_x * rays_by_camera[i, 0, c] + by_y * rays_by_camera[i, 1, c]
@@ -96,18 +96,12 @@ def reproject(
             for c in range(3):
                 second, third = (c + 1) % 3, (c + 2) % 3
                 row[of_rotation + c] += by[third] * turn[second] - by[second] * turn[third]
-                row[of_angles + c] += along * _dot(normals_by_angles[on, c], to_vertex)
+                row[of_angles + c] += along * dot(normals_by_angles[on, c], to_vertex)
                 row[of_pose + c] += along * (normal[second] * to_vertex[third] - normal[third] * to_vertex[second])
                 row[of_pose + 3 + c] += along * normal[c] * distance
             if on >= _FACES:
                 own = of_pose + _PER_POSE + _PER_PLANE * (on - _FACES)
-                row[own] += along * _dot(normals_by_tilts[on, 0], to_vertex)
-                row[own + 1] += along * _dot(normals_by_tilts[on, 1], to_vertex)
+                row[own] += along * dot(normals_by_tilts[on, 0], to_vertex)
+                row[own + 1] += along * dot(normals_by_tilts[on, 1], to_vertex)
                 row[own + 2] += along
     return pixels, jacobian, depths
-
-
-@compiled
-def _dot(a: Floats, b: Floats) -> float:
-    dot: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return dot

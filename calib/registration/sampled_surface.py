@@ -308,9 +308,10 @@ def is_closed(vertices: Floats, triangles: Ints) -> bool:
     grid = max(extent_of(vertices, 0.0) * _WELDED, np.finfo(np.float64).tiny)
     _, welded = np.unique(np.rint(vertices / grid).astype(np.int64), axis=0, return_inverse=True)
     corners = welded.reshape(-1)[triangles]
-    corners = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
-    edges = np.sort(np.stack([corners, np.roll(corners, 1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    counts = np.unique(edges, axis=0, return_counts=True)[1]
+    others = np.roll(corners, 1, axis=1)
+    whole = (corners != others).all(axis=1)
+    edges = (np.minimum(corners, others) * len(vertices) + np.maximum(corners, others))[whole]
+    counts = np.unique(edges, return_counts=True)[1]
     return len(counts) > 0 and bool(np.all(counts % 2 == 0))
 
 

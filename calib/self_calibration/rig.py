@@ -245,14 +245,14 @@ def _by_refinement(
         next_view=next_view,
         corners_covariance=refinement.covariance[np.ix_(*[_columns_of_corners(refinement.fit.state)] * 2)],
     )
-    calibration = _calibration_of(refinement, knowledge, known)
+    calibration, uncertainty = _calibration_of(refinement, knowledge, known), _uncertainty_of(refinement, known)
     results = []
     for number, matches in enumerate(captures):
         if len(captures) > 1:
             matches = _renumbered(matches, reflect=is_turned[number], shift=sameness.shifts[number] if sameness else 0)
         corner, residual_px = before_the_matches(refinement.corner(number), calibration, matches)
-        uncertainty = _uncertainty_of(refinement, number, known)
-        results.append(calibrated(calibration, matches, corner, residual_px=residual_px, uncertainty=uncertainty))
+        own = replace(uncertainty, match_px=refinement.noise[number].match_px)
+        results.append(calibrated(calibration, matches, corner, residual_px=residual_px, uncertainty=own))
     return tuple(results)
 
 
@@ -276,10 +276,10 @@ def _calibration_of(refinement: Refinement, knowledge: Knowledge, known: KnownCa
     return calibration if known is None else known.with_own_pixels(calibration)
 
 
-def _uncertainty_of(refinement: Refinement, capture: int, known: KnownCalibration | None) -> Uncertainty:
-    """Return the uncertainty with the noise of one of the captures."""
+def _uncertainty_of(refinement: Refinement, known: KnownCalibration | None) -> Uncertainty:
+    """Return the uncertainty of the rig, with the noise of the first capture."""
     fit, along = refinement.fit, along_valley(*refinement.valley.along(refinement.fit))
-    noise_px = refinement.noise[capture].match_px
+    noise_px = refinement.noise[0].match_px
     uncertainty = uncertainty_of(fit.state, refinement.covariance, fit.information, refinement.prior, noise_px, along)
     if known is None:
         return uncertainty

@@ -90,7 +90,7 @@ def register_clouds(paths: Sequence[Path], track: Track) -> RegisteredClouds:
     clouds = [read_compared(path) for path in paths]
     notes = [note for cloud in clouds for note in cloud.notes]
     unit, scales = _units(clouds, notes)
-    sampled = [_scaled(cloud.sampled(), scale) for cloud, scale in zip(clouds, scales, strict=True)]
+    sampled = [_scaled(cloud.sampled, scale) for cloud, scale in zip(clouds, scales, strict=True)]
     numbers = list(combinations(range(len(clouds)), 2))
     pairs = []
     for first, second in track(numbers, len(numbers), "Registering"):

@@ -126,7 +126,7 @@ def compare_surfaces(
         _tolerance(tolerance, stated or second.unit or NO_UNIT)  # what is none in any unit, before what takes seconds
     scales = _scales(first, second, stated, scale_free=scale_free)
     with_scale = scale_free or UNKNOWN_UNIT in (second.unit, first.unit)
-    one, other = first.sampled(), second.sampled()
+    one, other = first.sampled, second.sampled
     try:
         found = register_surfaces(one, other, [scale for scale, _ in scales], with_scale=with_scale)
     except ValueError as error:

@@ -68,7 +68,7 @@ def write_deviation_cloud(path: Path, comparison: SurfaceComparison) -> None:
 def write_reference_cloud(path: Path, comparison: SurfaceComparison) -> None:
     """The reference's points, coloured by the deviations near each, with the same numbers. Raises OSError."""
     if comparison.measured is not None:
-        reference = comparison.reference.sampled()
+        reference = comparison.reference.sampled
         normals = np.zeros_like(reference.points) if reference.normals is None else reference.normals
         near = comparison.measured.on_reference(reference.points)
         _write_coloured(path, comparison, reference.points, normals, *near)

@@ -1,6 +1,7 @@
 """The surfaces that are compared: results, clouds and meshes, with what is known of their errors."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,7 @@ class ComparedSurface:
         """Whether its unit is one of length."""
         return self.unit not in (None, UNKNOWN_UNIT)
 
+    @cached_property
     def sampled(self) -> SurfacePoints:
         """For the registration."""
         if self.triangles is not None:

@@ -9,6 +9,7 @@ fringe tell what it would have shown.
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import prod
 from tempfile import TemporaryFile
 from typing import Any
@@ -17,8 +18,8 @@ import cv2
 import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
-from calib.numerics import WHOLE, Floats32, Image, Part
-from scanner.decoding.light.constraints import NoiseModel, measure_noise, needs_neighbours
+from calib.numerics import Floats32, Image
+from scanner.decoding.light.constraints import NoiseModel, measure_noise
 from scanner.decoding.light.exposures import ExposureMerger, exposures_of, saturation_level
 from scanner.decoding.light.samples import Samples
 from scanner.decoding.planning import plan_sequence, usable
@@ -64,7 +65,7 @@ class FrameStack:
     finding: Finding | None = None
     """About frames that were left out; None if none was."""
 
-    @property
+    @cached_property
     def saturation(self) -> float:
         """The saturation level of the fringes, or without fringes of white, or without white of all frames."""
         return saturation_level(*self.showing(self.plan.fringe_frames))
@@ -155,7 +156,7 @@ class FrameCollector:
         if self._frames is None or self._samples is None:
             self._frames = room_for_frames(len(self.plan.shown), image, codes_alone=not self.plan.fringes)
             shape = image.shape[0], image.shape[1]
-            self._samples = Samples.of(shape, neighbours=needs_neighbours(self.plan))
+            self._samples = Samples.of(self.plan, shape)
         place, kept = self._count, self._frames[self._count]
         if image.ndim == 3:
             cv2.cvtColor(image, cv2.COLOR_BGR2GRAY, dst=kept)
@@ -184,16 +185,8 @@ class FrameCollector:
                 stack.frames[number] = stack.frames[place]
         frames, patterns = stack.frames[: len(places)], [pattern for pattern in decoded_as if pattern is not None]
         plan = plan_sequence(patterns, self._projector_size, calibrated=self._calibrated)
-        return replace(stack, plan=plan, frames=frames, samples=sample_frames(plan, frames), finding=finding)
-
-
-def sample_frames(plan: SequencePlan, frames: Image) -> Samples:
-    """Return samples of frames (N, H, W) in the order in which they were taken."""
-
-    def read(part: Part = WHOLE) -> list[Image]:
-        return [frame[part] for frame in frames]
-
-    return Samples.read(plan, (frames.shape[1], frames.shape[2]), read, neighbours=needs_neighbours(plan))
+        samples = Samples.read(plan, frames.shape[1:], lambda part: (frame[part] for frame in frames))
+        return replace(stack, plan=plan, frames=frames, samples=samples, finding=finding)
 
 
 def _form(image: Image) -> str:

@@ -121,11 +121,9 @@ class MirroredError(InputError):
     """The map from camera to projector is mirrored."""
 
 
-def check_maps(plan: SequencePlan, maps: CoordinateMap, kept: Bools) -> None:
-    """Raise InputError if most of what is lit is inconsistent, MirroredError if the map is mirrored.
-
-    `kept` (H, W): pixels that remain after all masks.
-    """
+def check_maps(plan: SequencePlan, maps: CoordinateMap) -> None:
+    """Raise InputError if most of what is lit is inconsistent, MirroredError if the map is mirrored."""
+    kept = maps.masked_as(MaskReason.KEPT)
     for axis, counts in zip(plan.axes, maps.counts, strict=True):
         _check_share(plan, axis, counts, int(np.count_nonzero(kept)))
     mirrored = None if plan.only_axis else _mirrored_axis(plan, maps, kept)

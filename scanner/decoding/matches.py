@@ -116,7 +116,7 @@ def collect_matches(
         mask_outside(axis, maps.projector_px.reshape(-1, 2)[:, number], maps.reason.reshape(-1))
     if completion:
         # Before the calibration masks pixels, which would be its error rather than the frames'.
-        check_maps(plan, maps, maps.masked_as(MaskReason.KEPT))
+        check_maps(plan, maps)
         maps = completion.complete(maps)
     kept = maps.masked_as(MaskReason.KEPT)
     if cells_px is None:
@@ -130,7 +130,7 @@ def collect_matches(
         maps = maps.masked(cells.rejected, MaskReason.ISOLATED)
         matches = Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance))
     if not completion:
-        check_maps(plan, maps, maps.masked_as(MaskReason.KEPT))
+        check_maps(plan, maps)
     return matches, maps.reason
 
 
@@ -139,10 +139,9 @@ def _pixel_matches(maps: CoordinateMap) -> Matches:
 
     Single precision is exact for camera pixels, and is the precision of the maps.
     """
-    count = int(np.count_nonzero(maps.reason == 0))
-    camera_px, projector_px = np.empty((2, count, 2), np.float32)
-    sigma_px = np.empty(count, np.float32)
-    first = np.append(0, np.cumsum(np.count_nonzero(maps.reason == 0, axis=1)))
+    first = np.append(0, np.cumsum(np.count_nonzero(maps.masked_as(MaskReason.KEPT), axis=1)))
+    camera_px, projector_px = np.empty((2, first[-1], 2), np.float32)
+    sigma_px = np.empty(first[-1], np.float32)
 
     def gather(rows: slice) -> None:
         own = slice(first[rows.start], first[rows.stop])

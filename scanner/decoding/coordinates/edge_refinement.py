@@ -159,8 +159,10 @@ def refine_by_edges(
     all_words = [
         code_words for number in measured if (code_words := code_images.with_edges(code_images.plan.axes[number]))
     ]
+    if len(all_words) < len(measured):
+        return None
     usable = _usable(maps, undecided)
-    if len(all_words) < len(measured) or not usable.any():
+    if not usable.any():
         return None
     refined = _between_edges(code_images, maps, noise, usable, dict(zip(measured, all_words, strict=True)))
     if refined is None:

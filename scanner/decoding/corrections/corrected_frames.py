@@ -22,7 +22,6 @@ from scanner.decoding.light import (
     is_suspected,
     lit_by,
     measure_noise,
-    needs_neighbours,
     unclipped,
 )
 from scanner.decoding.sequence_plan import SequencePlan
@@ -119,8 +118,7 @@ class CorrectedFrames:
 
     def sampled(self) -> Samples:
         """Return samples of the frames."""
-        shape = self.taken.shape[1], self.taken.shape[2]
-        return Samples.read(self.plan, shape, self.read, neighbours=needs_neighbours(self.plan))
+        return Samples.read(self.plan, self.taken.shape[1:], self.read)
 
 
 def estimate_corrections(stack: FrameStack) -> FrameCorrections:

@@ -21,7 +21,6 @@ from scanner.decoding.light.constraints import (
     find_violations,
     frames_of_fine_bits,
     measure_noise,
-    needs_neighbours,
 )
 from scanner.decoding.light.exposures import LIT, lit_by, saturation_level, unclipped
 from scanner.decoding.light.frame_checks import (

@@ -29,7 +29,6 @@ from scanner.decoding.significance import (
     FEWEST_PIXELS,
     HALF,
     HUBER_SIGMAS,
-    MAJORITY,
     OUTLYING_SIGMAS,
     REFITS,
     SIGNIFICANT_SIGMAS,
@@ -124,14 +123,6 @@ class NoiseModel:
         variance *= np.float32(self.gain)
         variance += np.float32(self.at_black)
         return variance
-
-
-def needs_neighbours(plan: SequencePlan) -> bool:
-    """Whether a sequence repeats too little light, so that noise must be measured between neighbouring pixels too.
-
-    With a single repeat an exchanged frame would pass for noise.
-    """
-    return sum(max(0, len(groups) - 1) for groups in (plan.complements, plan.fringes)) < MAJORITY
 
 
 def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> NoiseModel:

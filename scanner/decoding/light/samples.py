@@ -13,6 +13,7 @@ from calib.numerics import Bools, Floats, Floats32, Image, Ints, Part, at_random
 from scanner.decoding.light.brightness import Gains
 from scanner.decoding.light.exposures import BAYER_PX
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import MAJORITY
 
 _MOST_PIXELS = 16384  # at random, so that a hundred are left in 1 % of the picture
 TILE_PX, MOST_ALONG = 10, 24  # size of a tile; largest number of tiles along each side of the image
@@ -190,9 +191,16 @@ class Samples:
     """Frames are numbered as in the plan."""
 
     @classmethod
-    def of(cls, shape: tuple[int, int], *, neighbours: bool) -> Self:
-        """Return samples of images (H, W), without frames; with `neighbours` as in `Sample.at_random`."""
-        return cls(Sample.at_random(shape, neighbours=neighbours), TileSample(shape), GridSample(shape))
+    def of(cls, plan: SequencePlan, shape: tuple[int, ...]) -> Self:
+        """Return samples of the images (H, W) of a sequence, without frames.
+
+        If the sequence repeats too little light, noise must be measured between neighbouring pixels too: with a single
+        repeat an exchanged frame would pass for noise.
+        """
+        height, width = shape
+        repeats = sum(max(0, len(groups) - 1) for groups in (plan.complements, plan.fringes))
+        scattered = Sample.at_random((height, width), neighbours=repeats < MAJORITY)
+        return cls(scattered, TileSample(scattered.shape), GridSample(scattered.shape))
 
     def copy(self) -> Self:
         """Return samples of the same frames, which may be divided by themselves."""
@@ -210,11 +218,9 @@ class Samples:
                 sample.add(plan, place, sample.of(grey))
 
     @classmethod
-    def read(
-        cls, plan: SequencePlan, shape: tuple[int, int], read: Callable[[Part], Iterable[Image]], *, neighbours: bool
-    ) -> Self:
+    def read(cls, plan: SequencePlan, shape: tuple[int, ...], read: Callable[[Part], Iterable[Image]]) -> Self:
         """Return samples of images (H, W) of which `read` yields a part of all frames, in order."""
-        samples = cls.of(shape, neighbours=neighbours)
+        samples = cls.of(plan, shape)
         for sample in samples.each:
             for place, levels in enumerate(read((sample.rows, sample.pixels - sample.rows * shape[1]))):
                 sample.add(plan, place, levels)

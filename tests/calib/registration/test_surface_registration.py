@@ -196,14 +196,18 @@ def test_furniture_tells_poses_apart_at_which_walls_coincide(seed: int, pieces: 
     assert 1e-5 < np.linalg.norm(found.best.pose.translation - truth.translation) < 0.02
 
 
-def test_a_part_of_flat_faces_is_answered_though_its_mirror_image_fits_as_well() -> None:
-    angle = np.radians([0.0, 50, 85, 150, 200, 275, 310])
-    corners = np.array([[30 * np.cos(a), 30 * np.sin(a), z] for a in angle for z in (0.0, 30.0)])
+def hull_of(corners: Floats) -> Ints:
+    """Triangles of the convex hull of corners (N, 3), outwards."""
     hull = ConvexHull(corners)
     a, b, c = corners[hull.simplices.T]
     outwards = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) > 0
-    triangles = np.where(outwards[:, None], hull.simplices, hull.simplices[:, ::-1]).astype(np.int64)
-    points, normals = sample_mesh(corners, triangles, 60_000)
+    return np.where(outwards[:, None], hull.simplices, hull.simplices[:, ::-1]).astype(np.int64)
+
+
+def test_a_part_of_flat_faces_is_answered_though_its_mirror_image_fits_as_well() -> None:
+    angle = np.radians([0.0, 50, 85, 150, 200, 275, 310])
+    corners = np.array([[30 * np.cos(a), 30 * np.sin(a), z] for a in angle for z in (0.0, 30.0)])
+    points, normals = sample_mesh(corners, hull_of(corners), 60_000)
     seen = normals @ np.array([0.5, 0.6, 0.62]) > 0.2
     noise = 0.02 * np.random.default_rng(0).standard_normal((len(points), 1))
     truth = a_pose(20)
@@ -217,11 +221,8 @@ def test_a_part_of_flat_faces_is_answered_though_its_mirror_image_fits_as_well()
 
 def box(size: tuple[float, float, float], corner: tuple[float, float, float]) -> tuple[Floats, Ints]:
     """Corners and triangles of a box, outwards."""
-    hull = ConvexHull(np.array(list(product((0.0, 1.0), repeat=3))))
-    a, b, c = hull.points[hull.simplices.T]
-    outwards = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) > 0
-    triangles = np.where(outwards[:, None], hull.simplices, hull.simplices[:, ::-1])
-    return hull.points * size + corner, triangles.astype(np.int64)
+    vertices = np.array(list(product((0.0, 1.0), repeat=3))) * size + corner
+    return vertices, hull_of(vertices)
 
 
 def test_a_view_that_a_whole_model_explains_is_answered_though_half_of_it_fits_elsewhere() -> None:

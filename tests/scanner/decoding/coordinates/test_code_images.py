@@ -18,7 +18,7 @@ def test_a_stack_holds_the_frames_that_are_read_one_by_one(gain: float | None) -
     rng = np.random.default_rng(0)
     taken = rng.integers(0, 255, (len(plan.shown), 64, 80)).astype(np.uint8)
     frames = CorrectedFrames(plan, taken)
-    samples = Samples.read(plan, (64, 80), frames.read, neighbours=False)
+    samples = Samples.read(plan, (64, 80), frames.read)
     images = CodeImages(frames, samples.scattered)
     numbers = plan.x.fringes[0].frames
     if gain:
