@@ -21,7 +21,6 @@ from calib.numerics import (
     Bools,
     Floats,
     Floats32,
-    Image,
     Ints,
     Window,
     around,
@@ -235,10 +234,8 @@ def _without_breaks(plan: SequencePlan, maps: CoordinateMap) -> CoordinateMap:
 
 def _levels_of(code_images: CodeImages, code: GrayCode, part: Window) -> BitLevels:
     """Return the grey levels of a code's bits in a part of the image."""
-    thresholds: dict[int, Image] = {}
-    if code.unpaired:
-        thresholds = code_images.thresholds(dict(code_images.equalised(part)))
-    return BitLevels.of(code, *code_images.stacked(part, code.frames), thresholds)
+    thresholds = code_images.thresholds(part) if code.unpaired else {}
+    return BitLevels.of(code, *code_images.frames.stacked(part, code.frames), thresholds)
 
 
 def _in_projector_px(code: GrayCode, value: Floats32, variance: Floats32) -> None:
