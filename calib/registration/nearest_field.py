@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Pose
-from calib.numerics import Floats, compiled, inlined
+from calib.numerics import Floats, compiled, in_pieces, inlined
 from calib.registration.projection import Patches, add_pair, rotate_vector, step_pose
 from calib.registration.sampled_surface import SampledSurface
 
@@ -78,7 +78,11 @@ def worths(field: NearestField, patches: Patches, poses: Pose, within: float) ->
     """
     worth = np.empty(len(poses.translation))
     turns, shifts = np.ascontiguousarray(poses.rotation), np.ascontiguousarray(poses.translation)
-    _evaluate(field, patches, turns, shifts, within, worth)
+    in_pieces(
+        len(worth),
+        lambda at: _evaluate(field, patches, turns[at], shifts[at], within, worth[at]),
+        width=len(patches.points),
+    )
     return worth
 
 
@@ -87,7 +91,11 @@ def descended(field: NearestField, patches: Patches, poses: Pose, withins: Float
     `worths`, before the last step.
     """
     moved, worth = Pose(poses.rotation.copy(), poses.translation.copy()), np.zeros(len(poses.translation))
-    _descend(field, patches, moved.rotation, moved.translation, withins, worth)
+    in_pieces(
+        len(worth),
+        lambda at: _descend(field, patches, moved.rotation[at], moved.translation[at], withins, worth[at]),
+        width=len(patches.points) * len(withins),
+    )
     return moved, worth
 
 

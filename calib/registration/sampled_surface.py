@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from calib.deferred_imports import open3d
-from calib.numerics import Bools, Floats, Ints, evenly_spread, median
+from calib.numerics import Bools, Floats, Ints, evenly_spread, median, processors
 from calib.pointcloud import scattered_surface
 from calib.registration.projection import Patches
 
@@ -29,8 +29,8 @@ _CREASE, _MOST_CREASES = (
     0.12,
     0.4,
 )  # radians of neighbouring normals; share of samples that have to be away from creases
-_ORIENTED, _ORIENTATION_NEIGHBOURS = 6000, 12
-_FOR_THREADS = 50_000  # points, from which a search in threads is worth it
+_ORIENTED, _ORIENTATION_NEIGHBOURS = 4000, 12
+_FOR_THREADS = 2000  # points, from which a search in threads is worth it
 _SLOT = 1 << 21  # cells along an axis that a number of a cell has room for
 
 
@@ -100,7 +100,7 @@ class SampledSurface:
         by −K x, so that the covariance of points and normals of neighbours has the trace −tr(K P), for their covariance
         P.
         """
-        index = np.asarray(scipy.spatial.cKDTree(self.points).query(self.points, _NEIGHBOURS)[1])
+        index = scipy.spatial.cKDTree(self.points).query(self.points, _NEIGHBOURS, workers=processors())[1]
         apart, turned = (
             values[index] - values[index].mean(axis=1, keepdims=True) for values in (self.points, self.normals)
         )
@@ -168,7 +168,7 @@ def pair_samples(
 
     `turn_points`, `turn_samples`: whose normals, of unknown sign, are turned to the side of the other's.
     """
-    workers = -1 if len(points) > _FOR_THREADS else 1
+    workers = processors() if len(points) > _FOR_THREADS else 1
     apart, nearest = tree.query(points, distance_upper_bound=reach, workers=workers)
     nearest = np.where(np.isfinite(apart), nearest, 0).astype(np.int64)
     own = surface.normals[nearest]
@@ -289,8 +289,7 @@ def _are_opposed(points: Floats, normals: Floats) -> bool:
 def _oriented(points: Floats, normals: Floats) -> Floats:
     """Normals (N, 3) whose signs agree along the surface; which of the two sides they are on is not known."""
     o3d = open3d()
-    step = max(1, len(points) // _ORIENTED)
-    chosen = np.random.default_rng(0).permutation(len(points))[: len(points) // step]
+    chosen = np.random.default_rng(0).permutation(len(points))[:_ORIENTED]
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points[chosen]))
     cloud.normals = o3d.utility.Vector3dVector(normals[chosen])
     cloud.orient_normals_consistent_tangent_plane(_ORIENTATION_NEIGHBOURS)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Plane
-from calib.numerics import Bools, Floats, Ints, robust_sigma
+from calib.numerics import Bools, Floats, Ints, compiled, robust_sigma
 
 NO_PLANE = -1
 # Largest distance of a point from its plane: relative to its depth, for calibration errors, and in sigmas.
@@ -116,40 +116,59 @@ def _cells(points: NDArray[np.float32], normals: NDArray[np.float32], noise: flo
 def grow_planes(cells: Facets, most_planes: int, fewest: float) -> list[Plane]:
     """Planes of at least the `fewest` facets, the one with most of them first."""
     rng = np.random.default_rng(0)
-    free = np.ones(len(cells.centre), np.bool_)
     planes: list[Plane] = []
     failures = 0
-    while len(planes) < most_planes and failures < 3 and np.count_nonzero(free) >= fewest:
-        best, most = None, 0
-        pool = np.flatnonzero(free)
-        for seed in rng.choice(pool, min(_SEEDS, len(pool)), replace=False):
-            grown = _grown(cells, free, int(seed))
-            count = int(np.count_nonzero(grown))
-            if count > most:
-                best, most = grown, count
-        if best is None or most < fewest:
+    while len(planes) < most_planes and failures < 3 and len(cells.centre) >= fewest:
+        seeds = rng.choice(len(cells.centre), min(_SEEDS, len(cells.centre)), replace=False)
+        grown = [_grown(cells.centre, cells.normal, cells.tolerance, int(seed)) for seed in seeds]
+        best = max(grown, key=np.count_nonzero)
+        if np.count_nonzero(best) < max(fewest, 1):
             failures += 1
             continue
         planes.append(cells.plane(best))
-        free &= ~cells.on(planes[-1])
-        free &= ~best
+        left = ~cells.on(planes[-1]) & ~best
+        cells = Facets(cells.centre[left], cells.normal[left], cells.tolerance[left])
     return planes
 
 
-def _grown(cells: Facets, free: Bools, seed: int) -> Bools:
-    """Free cells (N,) on the plane that grows from a seed."""
-    plane = Plane(cells.normal[seed], float(cells.normal[seed] @ cells.centre[seed]))
+@compiled
+def _grown(centre: Floats, normal: Floats, tolerance: Floats, seed: int) -> Bools:
+    """Which facets (N,) are on the plane that grows from one of them."""
     # The first step reaches only as far as a single cell's normal is reliable.
-    near = np.linalg.norm(cells.centre - cells.centre[seed], axis=1) < 12 * cells.tolerance[seed]
-    inlier: Bools = free & near & cells.on(plane)
-    for _ in range(_ROUNDS):
-        if np.count_nonzero(inlier) < 4:
+    reach, middle, facing = (12 * tolerance[seed]) ** 2, centre[seed].copy(), normal[seed].copy()
+    inlier = np.zeros(len(centre), np.bool_)
+    for step in range(_ROUNDS + 1):
+        changed, total, first = False, 0.0, -1
+        sums, mean = np.zeros(3), np.zeros(3)
+        for n in range(len(centre)):
+            x, y, z = centre[n, 0] - middle[0], centre[n, 1] - middle[1], centre[n, 2] - middle[2]
+            on = (
+                np.abs(x * facing[0] + y * facing[1] + z * facing[2]) < tolerance[n]
+                and normal[n, 0] * facing[0] + normal[n, 1] * facing[1] + normal[n, 2] * facing[2] > _LIKE_CELL
+                and (step > 0 or x * x + y * y + z * z < reach)
+            )
+            changed |= on != inlier[n]
+            inlier[n] = on
+            if on:
+                weight = 1 / tolerance[n] ** 2
+                first = n if first < 0 else first
+                total += weight
+                for i in range(3):
+                    mean[i] += weight * centre[n, i]
+                    sums[i] += normal[n, i]
+        if not changed or step == _ROUNDS or np.count_nonzero(inlier) < 4:
             break
-        plane = cells.plane(inlier)
-        again: Bools = free & cells.on(plane)
-        if np.array_equal(again, inlier):
-            break
-        inlier = again
+        middle = mean / total
+        scatter = np.zeros((3, 3))
+        for n in range(len(centre)):
+            if inlier[n]:
+                off = (centre[n] - middle) / tolerance[n]
+                for i in range(3):
+                    for j in range(3):
+                        scatter[i, j] += off[i] * off[j]
+        facing = np.linalg.eigh(scatter)[1][:, 0].copy()
+        if np.sum(facing * (centre[first] + sums - middle)) < 0:
+            facing = -facing
     return inlier
 
 

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.deferred_imports import open3d
-from calib.geometry import Pose
+from calib.geometry import Pose, cross
 from calib.numerics import Bools, Floats, Ints, compiled
 from calib.registration.nearest_field import NearestField, descended, nearest_field, worths
+from calib.registration.projection import Patches
 from calib.registration.sampled_surface import SampledSurface
 from calib.registration.segments import Facets, grow_planes
 from calib.registration.starting_poses import distinct_poses, even_rotations, poses_by_planes
@@ -42,7 +43,7 @@ def surface_poses(first: SampledSurface, second: SampledSurface, signs: Sequence
 
     Both surfaces have the same cell, and their middles near the origin. Raises ImportError where Open3D is missing.
     """
-    field, reach = nearest_field(first), 0.75 * (first.extent + second.extent)
+    field, features, reach = nearest_field(first), _features(first), 0.75 * (first.extent + second.extent)
     planes, (other_planes, areas) = _planes(first), _planes(second)
     found = []
     for sign in signs:
@@ -52,7 +53,7 @@ def surface_poses(first: SampledSurface, second: SampledSurface, signs: Sequence
         turns = even_rotations(_TURNS)
         middles = [surface.some(_MANY).patches.normal_centre(0.0) for surface in (first, turned)]
         starts = [
-            _most_promising(field, patches, _feature_poses(first, turned)),
+            _most_promising(field, patches, _feature_poses(first, features, turned)),
             _most_promising(field, patches, by_planes),
             Pose(turns, middles[0] - turns @ middles[1]),
         ]
@@ -76,19 +77,12 @@ def _most_promising(field: NearestField, patches: SampledSurface, poses: Pose) -
     return poses[distinct_poses(poses, worth, _SAME_TURN, _SAME_CELLS * cell, _FOLLOWED)]
 
 
-def _feature_poses(first: SampledSurface, second: SampledSurface) -> Pose:
+def _feature_poses(first: SampledSurface, features: list[NDArray[np.float32]], second: SampledSurface) -> Pose:
     """Poses (K,) at which pairs of points with like features meet."""
-    own, other = _matches(first, second)
+    own, other = _matches(features, _features(second))
     here, there = first.part(own), second.part(other)
-    pairs = np.empty((_MOST_PAIRS, 2), np.int32)
-    a, b = pairs[: _apart_alike(here.points, there.points, first.cell, pairs)].T
-    ways = [side.points[b] - side.points[a] for side in (here, there)]
-    cosines = []
-    for side, way in zip((here, there), ways, strict=True):
-        one, other_one, along = side.normals[a], side.normals[b], way / np.linalg.norm(way, axis=1, keepdims=True)
-        cosines.append([np.sum(u * v, axis=1) for u, v in ((one, other_one), (along, one), (along, other_one))])
-    like = np.flatnonzero(np.all(np.abs(np.array(cosines[0]) - cosines[1]) <= _OFF_COSINE, axis=0))[:_MOST_POSES]
-    a, b = a[like], b[like]
+    pairs = np.empty((_MOST_POSES, 2), np.int32)
+    a, b = pairs[: _congruent_pairs(here.patches, there.patches, first.cell, pairs)].T
     (to, is_wide), (of, is_also_wide) = (_frames(side, a, b) for side in (here, there))
     wide = is_wide & is_also_wide
     turns = to[wide] @ of[wide].transpose(0, 2, 1)
@@ -97,20 +91,34 @@ def _feature_poses(first: SampledSurface, second: SampledSurface) -> Pose:
 
 
 @compiled
-def _apart_alike(here: Floats, there: Floats, cell: float, pairs: NDArray[np.int32]) -> int:
-    """Fill in the numbers (K, 2) of matches whose points are as far apart on either surface; returns how many."""
-    count = 0
-    for a in range(len(here)):
+def _congruent_pairs(here: Patches, there: Patches, cell: float, pairs: NDArray[np.int32]) -> int:
+    """Fill in the numbers (K, 2) of matches whose points are as far apart on either surface, with normals at like
+    angles to each other and to the way between them; returns how many.
+    """
+    count = examined = 0
+    for a in range(len(here.points)):
         for b in range(a):
             long = far = 0.0
             for axis in range(3):
-                long += (here[b, axis] - here[a, axis]) ** 2
-                far += (there[b, axis] - there[a, axis]) ** 2
-            if long < (_LEAST_APART * cell) ** 2 or np.abs(np.sqrt(long) - np.sqrt(far)) > _OFF_APART * cell:
+                long += (here.points[b, axis] - here.points[a, axis]) ** 2
+                far += (there.points[b, axis] - there.points[a, axis]) ** 2
+            long, far = np.sqrt(long), np.sqrt(far)
+            if long < _LEAST_APART * cell or np.abs(long - far) > _OFF_APART * cell:
                 continue
-            pairs[count, 0], pairs[count, 1] = a, b
-            count += 1
-            if count == len(pairs):
+            examined += 1
+            between = along_one = along_other = 0.0
+            for axis in range(3):
+                way = (here.points[b, axis] - here.points[a, axis]) / long
+                run = (there.points[b, axis] - there.points[a, axis]) / far
+                one, other = here.normals[a, axis], here.normals[b, axis]
+                its, others = there.normals[a, axis], there.normals[b, axis]
+                between += one * other - its * others
+                along_one += way * one - run * its
+                along_other += way * other - run * others
+            if max(np.abs(between), np.abs(along_one), np.abs(along_other)) <= _OFF_COSINE:
+                pairs[count, 0], pairs[count, 1] = a, b
+                count += 1
+            if count == len(pairs) or examined == _MOST_PAIRS:
                 return count
     return count
 
@@ -125,15 +133,14 @@ def _frames(surface: SampledSurface, a: Ints, b: Ints) -> tuple[Floats, Bools]:
     across -= np.sum(across * along, axis=1, keepdims=True) * along
     length = np.linalg.norm(across, axis=1, keepdims=True)
     across /= np.maximum(length, 1e-12)
-    return np.stack([along, across, np.cross(along, across)], axis=-1), length[:, 0] >= _LEAST_ACROSS
+    return np.stack([along, across, cross(along, across)], axis=-1), length[:, 0] >= _LEAST_ACROSS
 
 
-def _matches(first: SampledSurface, second: SampledSurface) -> tuple[Ints, Ints]:
+def _matches(first: list[NDArray[np.float32]], second: list[NDArray[np.float32]]) -> tuple[Ints, Ints]:
     """Points with like features, (M,) of either surface, in random order."""
     rng = np.random.default_rng(0)
     own, other = [], []
-    for radius in _FEATURE_RADII:
-        here, there = (_features(surface, radius * first.cell) for surface in (first, second))
+    for here, there in zip(first, second, strict=True):
         usual = there.mean(axis=0)
         rare = np.linalg.norm(there - usual, axis=1)
         chosen = np.argsort(-rare * rng.uniform(0.5, 1.0, len(rare)), kind="stable")[:_MATCHED]
@@ -146,14 +153,17 @@ def _matches(first: SampledSurface, second: SampledSurface) -> tuple[Ints, Ints]
     return np.concatenate(own)[order], np.concatenate(other)[order]
 
 
-def _features(surface: SampledSurface, radius: float) -> NDArray[np.float32]:
-    """FPFH (N, 33) of the samples."""
+def _features(surface: SampledSurface) -> list[NDArray[np.float32]]:
+    """FPFH (N, 33) of the samples, for each radius."""
     o3d = open3d()
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(surface.points))
     cloud.normals = o3d.utility.Vector3dVector(surface.normals)
-    around = o3d.geometry.KDTreeSearchParamHybrid(radius, _FEATURE_NEIGHBOURS)
-    features: Any = o3d.pipelines.registration.compute_fpfh_feature(cloud, around)
-    return np.ascontiguousarray(np.asarray(features.data).T, np.float32)
+    features = []
+    for radius in _FEATURE_RADII:
+        around = o3d.geometry.KDTreeSearchParamHybrid(radius * surface.cell, _FEATURE_NEIGHBOURS)
+        found: Any = o3d.pipelines.registration.compute_fpfh_feature(cloud, around)
+        features.append(np.ascontiguousarray(np.asarray(found.data).T, np.float32))
+    return features
 
 
 def _planes(surface: SampledSurface) -> tuple[Floats, Ints]:

@@ -99,12 +99,23 @@ class SurfacePoints:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSide:
-    """A surface with its middle at the origin, and the search tree of its fine samples."""
+    """A surface with its middle at the origin."""
 
     fine: SampledSurface
-    tree: "scipy.spatial.cKDTree"
     middle: Floats
-    free: FreeSpace | None
+    """(3,), in the frame that the surface was given in."""
+    eye: Floats | None
+    """(3,): the scanner in the frame of the samples, if all of them were seen from one place and it is known."""
+
+    @cached_property
+    def tree(self) -> "scipy.spatial.cKDTree":
+        """The search tree of the samples."""
+        return scipy.spatial.cKDTree(self.fine.points)
+
+    @cached_property
+    def free(self) -> FreeSpace | None:
+        """The space that the scanner looked through."""
+        return None if self.eye is None else FreeSpace.of(self.fine.points, self.eye)
 
     @cached_property
     def judged(self) -> SampledSurface:
@@ -141,13 +152,7 @@ class SurfaceSide:
     def mirrored(self) -> "SurfaceSide":
         """Its mirror image, x reversed."""
         fine = replace(self.fine, points=_MIRROR * self.fine.points, normals=_MIRROR * self.fine.normals)
-        return SurfaceSide.of(fine, _MIRROR * self.middle, None if self.free is None else _MIRROR * self.free.eye)
-
-    @classmethod
-    def of(cls, surface: SampledSurface, middle: Floats, eye: Floats | None) -> "SurfaceSide":
-        """`eye` in the same frame as the samples."""
-        free = None if eye is None else FreeSpace.of(surface.points, eye)
-        return cls(surface, scipy.spatial.cKDTree(surface.points), middle, free)
+        return SurfaceSide(fine, _MIRROR * self.middle, None if self.eye is None else _MIRROR * self.eye)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +181,7 @@ class SurfacePair:
         coarse = max(extent / ACROSS, fine)
         noises = self.noises[0], scale * self.noises[1]
         sides = [
-            SurfaceSide.of(sample_surface(given - middle, normals, fine, noise), middle, eye)
+            SurfaceSide(sample_surface(given - middle, normals, fine, noise), middle, eye)
             for given, normals, middle, noise, eye in zip(
                 (self.first.points, points),
                 (self.first.normals, self.second.normals),
@@ -236,14 +241,11 @@ def rescaled(sides: ScaledPair, factor: float) -> ScaledPair:
         return sides
     second = sides.second
     fine = replace(second.fine, points=factor * second.fine.points, noise=factor * second.fine.noise)
-    eye = None if second.free is None else factor * second.free.eye
-    return replace(sides, second=SurfaceSide.of(fine, factor * second.middle, eye), scale=factor * sides.scale)
+    eye = None if second.eye is None else factor * second.eye
+    return replace(sides, second=SurfaceSide(fine, factor * second.middle, eye), scale=factor * sides.scale)
 
 
 def on_surface(sides: ScaledPair) -> ScaledPair:
     """With samples that are on the surfaces."""
-    first, second = (
-        SurfaceSide.of(side.fine.on_surface(), side.middle, None if side.free is None else side.free.eye)
-        for side in (sides.first, sides.second)
-    )
+    first, second = (replace(side, fine=side.fine.on_surface()) for side in (sides.first, sides.second))
     return replace(sides, first=first, second=second)

@@ -46,6 +46,8 @@ from calib.registration.surface_pair import (
 
 _FINAL_ROUNDS = 12
 _WHOLE = 0.9  # share of a surface that coincides, beyond which hardly anything of it is elsewhere
+_SOME, _SETTLING = 500, 1000  # samples: by which it is told whether two poses are one, and of the first fine steps
+_HOPELESS, _WORSE = 0.1, 0.05  # of the most samples that hold any hypothesis; difference of agreeing shares
 _PIECE = 4.0  # coarse cells across what may have moved a little as a whole, so that its errors are equal
 
 
@@ -125,6 +127,17 @@ class _Candidate:
     sign: float
     judged: SurfacePose
 
+    def is_apart_from(self, other: "_Candidate") -> bool:
+        """Whether another one puts the second surface in a different place."""
+        second = self.sides.second
+        points = (second.fine.some(_SOME).points + second.middle) / self.sides.scale
+        return are_apart(self.judged, other.judged, points, self.sides.tolerance)
+
+    def is_beaten_by(self, other: "_Candidate") -> bool:
+        """Whether another one is the same, or so much better that a closer look at this one is of no use."""
+        worse = self.judged.share < other.judged.share - _WORSE and surpasses(other.judged, self.judged)
+        return worse or not self.is_apart_from(other)
+
 
 def _refined(sides: ScaledPair, starts: Pose | None, *, with_scale: bool) -> list[_Candidate]:
     """The hypotheses for one scale, refined and judged."""
@@ -136,26 +149,33 @@ def _refined(sides: ScaledPair, starts: Pose | None, *, with_scale: bool) -> lis
         to, of = (Pose(np.eye(3), side.middle) for side in (sides.first, sides.second))
         begun = Pose(starts.rotation, starts.translation + starts.rotation @ of.translation - to.translation)
         hypotheses = [begun] * len(signs)
-    candidates: list[_Candidate] = []
-    for sign, poses in zip(signs, hypotheses, strict=True):
-        settled = (_settled(sides, poses[k], sign, with_scale=with_scale) for k in range(len(poses.translation)))
-        candidates += [candidate for candidate in settled if candidate is not None]
+    settled = [
+        (*_settled(sides, poses[k], sign, with_scale=with_scale), sign)
+        for sign, poses in zip(signs, hypotheses, strict=True)
+        for k in range(len(poses.translation))
+    ]
+    least = max(1.0, _HOPELESS * max((held for held, *_ in settled), default=0))
+    candidates = []
+    for held, place, factor, sign in settled:
+        if held >= least:
+            moved = rescaled(sides, factor)
+            candidates.append(_Candidate(moved, place, sign, judge(moved, place, sign)))
     return candidates
 
 
-def _settled(sides: ScaledPair, place: Pose, sign: float, *, with_scale: bool) -> _Candidate | None:
-    """A hypothesis after the fine steps, and its evidence; None if nothing holds it."""
+def _settled(sides: ScaledPair, place: Pose, sign: float, *, with_scale: bool) -> tuple[int, Pose, float]:
+    """The number of samples that hold a hypothesis, 0 if they are too few, and its pose and scale after fine steps."""
     fine, tolerance = sides.first.fine.cell, sides.tolerance
-    factor = 1.0
-    for reach in (2 * fine + tolerance, fine + tolerance, tolerance, tolerance):
-        fit = PairFit.at(sides, place, factor, sign, reach, sides.second.judged)
+    factor, many = 1.0, sides.second.judged
+    few = many.some(_SETTLING)
+    for reach, some in ((2 * fine + tolerance, few), (fine + tolerance, few), (tolerance, few), (tolerance, many)):
+        fit = PairFit.at(sides, place, factor, sign, reach, some)
         if len(fit.residual) < 12:
-            return None
+            return 0, place, factor
         place, factor = fit.stepped(
             place, factor, np.clip(1 - (fit.residual / reach) ** 2, 0, None) ** 2, with_scale=with_scale
         )
-    moved = rescaled(sides, factor)
-    return _Candidate(moved, place, sign, judge(moved, place, sign))
+    return len(fit.residual), place, factor
 
 
 def _answer(candidates: list[_Candidate], *, with_scale: bool, check_mirrored: bool) -> SurfaceRegistration:
@@ -180,13 +200,7 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool, check_mirrored: b
         return made
     is_all = best.sides.has_closed and max(whole.overlap) > _WHOLE
     rivals = [each for each in ordered[1:] if is_rival(each.judged, whole, is_all=is_all)]
-    alternatives: list[SurfacePose] = []
-    points = best.sides.second.fine.some(500).points + best.sides.second.middle
-    for rival in rivals:
-        if all(
-            are_apart(rival.judged, other, points / best.sides.scale, tolerance) for other in (whole, *alternatives)
-        ):
-            alternatives.append(rival.judged)
+    alternatives = [rival.judged for rival in rivals if best.is_apart_from(rival)]
     if check_mirrored and not alternatives and max(whole.overlap) < _WHOLE and needs_mirror_test(ordered[0].judged):
         alternatives = _mirrored_rivals(ordered[0], with_scale=with_scale)
     if alternatives:
@@ -236,11 +250,13 @@ def _finished(candidate: _Candidate, *, with_scale: bool) -> _Candidate:
 
 
 def _uncontradicted(candidates: list[_Candidate]) -> list[_Candidate]:
-    """Those that hold, and that no other one, of a comparable size, shows to be contradicted by more than chance."""
-    holding = [
-        replace(candidate, judged=judge(candidate.sides, candidate.place, candidate.sign, ALL_SAMPLES))
-        for candidate in candidates
-        if holds(candidate.judged)
-    ]
+    """Those that hold, each once, and that no other one, of a comparable size, shows to be contradicted by more than
+    chance.
+    """
+    holding: list[_Candidate] = []
+    for candidate in sorted(candidates, key=lambda each: -worth(each.judged)):
+        if holds(candidate.judged) and not any(candidate.is_beaten_by(other) for other in holding):
+            judged = judge(candidate.sides, candidate.place, candidate.sign, ALL_SAMPLES)
+            holding.append(replace(candidate, judged=judged))
     sized = [each for each in holding if not any(surpasses(other.judged, each.judged) for other in holding)]
     return sized or candidates
