@@ -45,9 +45,9 @@ SWITCHED_OFF: dict[str, Off] = {
     "without shading": (("coordinates.coordinate_map", "footprint_of", lambda *_: Footprint.round(0.0)),),
     "without comparing periods": (("coordinates.axis_decoder", "correct_systematic", _nothing),),
     "without equalising": (
-        ("corrections.gains", "swings_of", lambda *_: {}),
+        ("corrections.gains", "gains_of_fringes", lambda *_: {}),
         ("corrections.corrected_frames", "gains_of_pairs", lambda *_: {}),
-        ("coordinates.code_images", "gains_of_pairs", lambda *_: {}),
+        ("sample_analysis", "gains_of_pairs", lambda *_: {}),
     ),
     "without taking motion back": (("motion.rigid_motion", "CoordinateShift.subtracted_from", lambda _, px: px),),
     "with wrong bits left": (("coordinates.axis_decoder", "resolve_contradictory_codes", _nothing),),

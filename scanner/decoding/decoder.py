@@ -121,9 +121,8 @@ def decode(stack: FrameStack, projector_size: tuple[int, int], calibration: Cali
     """
     corrections = estimate_corrections(stack)
     frames = CorrectedFrames(stack.plan, stack.frames, corrections)
-    samples = frames.sampled() if corrections.are_any else stack.samples.copy()
-    images = CodeImages(frames, samples.scattered, stack.log_exposure)
-    observed = observe(images, samples, projector_size)
+    samples = frames.sampled() if corrections.in_order else stack.samples
+    images, samples, observed = observe(frames, samples, stack.log_exposure, projector_size)
     # That of the camera itself, not of its corrected frames.
     noise = stack.noise if corrections.response else observed.noise
     with attribute_to_motion(lambda: observed.motion, observed.phase_jump):
@@ -195,7 +194,7 @@ def _decode_pixels(
     codes and fringes.
     """
     plan, is_anomalous = images.plan, bool(axes.anomalies)
-    corrupted = repair_codes(images, observed.inconsistent)
+    images, corrupted = repair_codes(images, observed.inconsistent)
     coordinates = decode_tiles(images, axes.decoders, observed.moved, corrupted)
     if (observed.moved is not None and not observed.code_shifts) or (is_anomalous and not plan.fringes):
         # Before interpolation between stripe edges, which makes coordinates smooth even where a bit is wrong.
@@ -204,7 +203,7 @@ def _decode_pixels(
     coordinates = mask_stray_light(images, coordinates)
     check_roughness(plan, coordinates)
     coordinates = widen_by_roughness(plan, coordinates)
-    images.forget_contrasts()
+    images.release_contrasts()
     refined = refine_by_edges(images, coordinates, observed.noise, undecided)
     coordinates = refined or coordinates
     check_cycles(plan, coordinates.projector_px)
@@ -213,7 +212,7 @@ def _decode_pixels(
     stripes = finest_stripes(images, samples.scattered, coordinates)
     images.codes.clear()  # the frames alone tell of motion
     motion = observed.motion
-    if halves := halves_of(images.plan_as_shown):
+    if halves := halves_of(images.frames.plan):
         motion = motion_between(halves, images, coordinates.projector_px, projector_size, motion)
     cells_px = None if refined or plan.fringes else coordinates.projector_px
     if motion is not None and motion.verdict is MotionVerdict.CORRECTABLE:

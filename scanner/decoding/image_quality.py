@@ -55,7 +55,7 @@ def finest_stripes(code_images: CodeImages, sample: Sample, maps: CoordinateMap)
         pixels = at_random(maps.reason.size, MANY_PIXELS)
         finest = x.fringes[-1], y.fringes[-1]
         places = np.divmod(pixels, maps.reason.shape[1])
-        frames = dict(code_images.equalised(places, {*finest[0].frames, *finest[1].frames}))
+        frames = dict(code_images.frames.by_number(places, {*finest[0].frames, *finest[1].frames}))
         of_x, of_y = (
             np.hypot(*fringe.weights32 @ np.stack([frames[frame] for frame in fringe.frames], dtype=np.float32))
             for fringe in finest

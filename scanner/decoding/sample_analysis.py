@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
-from calib.numerics import Bools, Image
+from calib.numerics import Bools, Floats32, Image, Ints
 from scanner.decoding.codes.code_checks import check_codes
 from scanner.decoding.coordinates.axis_decoder import AxisDecoder, FringeAxis
 from scanner.decoding.coordinates.code_images import CodeImages, signals_of
@@ -18,9 +18,9 @@ from scanner.decoding.coordinates.decoder_calibration import (
     modulation,
     resolve_bits,
 )
-from scanner.decoding.corrections.gains import brighten_white, equalise
+from scanner.decoding.corrections import CorrectedFrames
+from scanner.decoding.corrections.gains import FrameGains, fit_bits, gains_of_pairs, with_white_as_in_patterns
 from scanner.decoding.fringes.single_fringe import Unchecked
-from scanner.decoding.light.brightness import LitRows, flicker_of
 from scanner.decoding.light.constraints import NoiseModel, measure_noise
 from scanner.decoding.light.exposures import lit_by, log_mosaic, saturation_level
 from scanner.decoding.light.frame_checks import agree, check_frames, is_explained_by_swap, suspected
@@ -89,35 +89,45 @@ class Observations:
         return self.measuring_motion.result()
 
 
-def observe(code_images: CodeImages, samples: Samples, projector_size: tuple[int, int]) -> Observations:
-    """Equalise the frames' brightness, drop unresolved fringes and bits, and measure noise, flicker and motion.
+def observe(
+    frames: CorrectedFrames, samples: Samples, log_exposure: Floats32 | None, projector_size: tuple[int, int]
+) -> tuple[CodeImages, Samples, Observations]:
+    """Return the folded frames and the samples, of frames that are equally bright, without unresolved fringes and bits;
+    and what samples tell.
 
-    The corrections are made in the folded frames and the samples, in place.
+    `log_exposure` (H, W): as in `CodeImages`.
     """
-    sample, tiles, grid = samples.scattered, samples.tiles, samples.grid
-    findings = list(_with_brighter_white(code_images, sample))
-    mosaic = log_mosaic(code_images.white) if code_images.log_exposure is None else None
+    plan_as_shown = frames.plan
+    gains = FrameGains(gains_of_pairs(plan_as_shown, samples.scattered))
+    bits, white_gain = fit_bits(plan_as_shown, samples.scattered)
+    code_images = CodeImages.fold(frames.with_gains(gains), bits, white_gain, log_exposure)
+    samples = with_white_as_in_patterns(plan_as_shown, samples, white_gain)
+    findings = [*_brighter_white(plan_as_shown, white_gain)]
+    mosaic = log_mosaic(code_images.white) if log_exposure is None else None
     if mosaic is not None:
-        code_images.log_exposure = mosaic
+        code_images = replace(code_images, log_exposure=mosaic)
         message = "The frames are raw ones of a colour camera, pixel by pixel behind filters; they are taken as grey."
         findings.append(Finding(RAW_COLOURS, Severity.WARNING, message))
-    levels = sample.as_taken
+    levels = samples.scattered.as_taken
     saturation = saturation_level(code_images.peak)
-    plan_as_shown = code_images.plan
-    noise = measure_noise(plan_as_shown, sample, saturation)
+    noise = measure_noise(plan_as_shown, samples.scattered, saturation)
     inconsistent = _inconsistent_pixels(plan_as_shown, samples, noise)
-    flicker = _equalise(code_images, samples, inconsistent)
+    gains = gains.with_fringes(plan_as_shown, samples.scattered, _static_and_lit(samples.scattered, inconsistent))
+    code_images = replace(code_images, frames=frames.with_gains(gains))
+    samples = gains.without(plan_as_shown, samples)
+    sample, tiles, grid = samples.scattered, samples.tiles, samples.grid
     if grid.is_divided:
-        noise = measure_noise(code_images.plan, sample, saturation)
-    findings += drop_lost_fringes(code_images, noise, sample)
-    findings += resolve_bits(code_images, noise, sample.pixels)
+        noise = measure_noise(plan_as_shown, sample, saturation)
+    code_images, blurred = drop_lost_fringes(code_images, noise, sample)
+    code_images, unresolved = resolve_bits(code_images, noise, sample.pixels)
+    findings += [*([blurred] if blurred else []), *unresolved]
     if grid.is_divided or code_images.plan != plan_as_shown:
         inconsistent = _inconsistent_pixels(code_images.plan, samples, noise)
     if inconsistent is not None:
         static_levels = grid.levels[:, grid.of(inconsistent.static)]
         inconsistent = inconsistent if agree(code_images.plan, static_levels, noise, saturation) else None
     if inconsistent is not None:
-        tiles.leave_out(inconsistent.moved)
+        tiles = tiles.leaving_out(inconsistent.moved)
         findings.append(inconsistent.finding(code_images.plan))
     plan = code_images.plan
     x, y = signals_of(
@@ -127,17 +137,18 @@ def observe(code_images: CodeImages, samples: Samples, projector_size: tuple[int
     fringes = ObservedFringes(plan, tiles, (x, y), noise, saturation, projector_size)
     motion = aside.submit(measure_motion, fringes)
     aside.shutdown(wait=False)
-    return Observations(
+    observed = Observations(
         levels,
         noise,
         saturation,
-        flicker,
+        gains.flicker,
         motion,
         shifts_of_codes(fringes),
         tuple(findings),
         lambda: find_phase_jump(fringes),
         inconsistent,
     )
+    return code_images, samples, observed
 
 
 def _inconsistent_pixels(plan: SequencePlan, samples: Samples, noise: NoiseModel) -> InconsistentPixels | None:
@@ -149,38 +160,21 @@ def _inconsistent_pixels(plan: SequencePlan, samples: Samples, noise: NoiseModel
     return None if is_explained_by_swap(plan, levels, pixels.frames) else pixels
 
 
-def _with_brighter_white(code_images: CodeImages, sample: Sample) -> Iterator[Finding]:
-    """If white is brighter in the patterns than in the white frame, rescale it in the sample and yield a warning."""
-    white = code_images.white_gain
-    if white == 1 or code_images.plan.white is None:
-        return
-    brighten_white(code_images.plan, sample, white)
-    yield Finding(
-        BRIGHTER_WHITE,
-        Severity.WARNING,
-        f"White is {white:.2f} times as bright in the patterns as in the white frame, which was taken into account.",
-        BRIGHTER_WHITE.remedy,
-        {"brightness_ratio": float(white)},
-    )
+def _brighter_white(plan: SequencePlan, gain: float) -> Iterator[Finding]:
+    """Yield a warning if white is brighter in the patterns than in the white frame."""
+    if gain != 1 and plan.white is not None:
+        message = (
+            f"White is {gain:.2f} times as bright in the patterns as in the white frame, which was taken into account."
+        )
+        values = {"brightness_ratio": float(gain)}
+        yield Finding(BRIGHTER_WHITE, Severity.WARNING, message, BRIGHTER_WHITE.remedy, values)
 
 
-def _equalise(code_images: CodeImages, samples: Samples, inconsistent: InconsistentPixels | None) -> float | None:
-    """Equalise frames that differ in brightness, in the samples and in the fringes; return the flicker, None if
-    unknown.
-
-    `inconsistent`: where something moved; those pixels are ignored, because motion changes their brightness.
-    """
-    plan, sample = code_images.plan, samples.scattered
+def _static_and_lit(sample: Sample, inconsistent: InconsistentPixels | None) -> Ints:
+    """Return the lit pixels of a sample but for those where something moved, which changes their brightness."""
     lit = lit_by(np.ptp(sample.levels, axis=0))
-    if inconsistent is not None:
-        static = lit[sample.of(inconsistent.static)[lit]]
-        lit = static if len(static) >= FEWEST_PIXELS else lit
-    places = LitRows(sample.rows[lit], sample.shape[0])
-    groups = equalise(plan, samples, code_images.gains, lit)
-    for fringe in plan.fringes:
-        if fringe.frames in groups and groups[fringe.frames].are_harmful:
-            code_images.equalise(fringe.frames, groups[fringe.frames].within(places).divided)
-    return flicker_of([*groups.values()])
+    static = lit if inconsistent is None else lit[sample.of(inconsistent.static)[lit]]
+    return static if len(static) >= FEWEST_PIXELS else lit
 
 
 @dataclass(frozen=True)

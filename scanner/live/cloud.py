@@ -147,6 +147,7 @@ class LiveDecoder:
     ) -> LiveCloud:
         pixel = np.flatnonzero(reason == MaskReason.KEPT)
         points, sigma = np.empty((len(pixel), 3), np.float32), np.empty(len(pixel), np.float32)
+        there = np.empty(len(pixel), np.bool_)
 
         def fill(at: slice) -> None:
             chosen = pixel[at]
@@ -156,10 +157,11 @@ class LiveDecoder:
             points[at, 0], points[at, 1], points[at, 2] = ideal[0] * depth, ideal[1] * depth, depth
             along = np.sqrt(1 + ideal[0] ** 2 + ideal[1] ** 2)
             sigma[at] = np.abs(per_px) * along * np.sqrt(variance.ravel()[chosen])
+            there[at] = np.isfinite(depth) & np.isfinite(sigma[at])
 
         in_slices(len(pixel), _POINTS, fill)
-        there = np.isfinite(points[:, 2]) & np.isfinite(sigma)
-        reason.ravel()[pixel[~there]] = MaskReason.OUTSIDE
-        coordinate[reason != MaskReason.KEPT] = np.nan
-        kept = pixel[there], points[there], sigma[there]
-        return LiveCloud(taken, coordinate, variance, reason, moving, foreign, *kept)
+        if not there.all():
+            reason.ravel()[pixel[~there]] = MaskReason.OUTSIDE
+            pixel, points, sigma = pixel[there], points[there], sigma[there]
+        np.copyto(coordinate, np.nan, where=reason != MaskReason.KEPT)
+        return LiveCloud(taken, coordinate, variance, reason, moving, foreign, pixel, points, sigma)

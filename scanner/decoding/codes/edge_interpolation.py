@@ -47,7 +47,7 @@ _BESIDE, _LINES = 32, 128
 
 
 @dataclass(frozen=True)
-class BitLevels:
+class StripeLevels:
     """The grey levels that decide the bits of a code, in the part of the image where edges are looked for."""
 
     frames: Image
@@ -68,7 +68,7 @@ class BitLevels:
         places: Mapping[int, int],
         corner: tuple[int, int],
         thresholds: Mapping[int, Image],
-    ) -> "BitLevels":
+    ) -> "StripeLevels":
         """Return the levels of a code.
 
         `places`: of a frame's index in `frames`. `thresholds` (h, w): per frame of a bit without an inverse, in place
@@ -89,7 +89,7 @@ def interpolate(
     words: Words,
     usable: Bools,
     light: tuple[Image, Image],
-    levels: BitLevels,
+    levels: StripeLevels,
     least: Floats32,
     noise: Floats,
     coordinates: Sequence[Floats32],

@@ -56,7 +56,13 @@ class CodeWords:
                 np.maximum(self.contrast[rows], contrast, out=self.contrast[rows])
         words[:] = self.code.relative_to_base(words)
 
-    def forget_contrasts(self) -> None:
+    def with_contrast(self, contrast: Image) -> "CodeWords":
+        """Return the code words with another largest contrast (H, W)."""
+        changed = copy(self)
+        changed.contrast = contrast
+        return changed
+
+    def release_contrasts(self) -> None:
         """Let go of everything but the words, as large as the frames of a dozen bits."""
         self.contrast, self.fine, self.optional = None, {}, {}
         self.least = self._least_of_others = np.empty((0, 0), self.least.dtype)
@@ -66,13 +72,17 @@ class CodeWords:
         """(H, W): the smallest contrast among the bits that are not optional."""
         return self._least_of_others if self.optional else self.least
 
-    def decide(self, where: Bools, words: Words, least: Image) -> None:
-        """Replace the words and the smallest contrast (H, W) in some pixels (H, W)."""
-        np.copyto(self.words, words, where=where)
-        for contrast in (self.least, self._least_of_others):
-            np.copyto(contrast, least, where=where)
-        for contrast in self.optional.values():
-            np.maximum(contrast, least, out=contrast, where=where)
+    def decided(self, where: Bools, words: Words, least: Image) -> "CodeWords":
+        """Return code words with other words and another smallest contrast (H, W) in some pixels (H, W)."""
+        changed = copy(self)
+        changed.words = np.where(where, words, self.words)
+        changed.least = np.where(where, least, self.least)
+        is_same = self._least_of_others is self.least
+        changed._least_of_others = changed.least if is_same else np.where(where, least, self._least_of_others)
+        changed.optional = {
+            bit: np.where(where, np.maximum(contrast, least), contrast) for bit, contrast in self.optional.items()
+        }
+        return changed
 
     def least_at(self, bits: int, pixels: Ints | None = None) -> Image:
         """Return the smallest contrast of the coarsest `bits`: of all pixels (H, W), or at flat indices (P,)."""

@@ -282,7 +282,7 @@ def _footprint(code_images: CodeImages, decoders: tuple[AxisDecoder, AxisDecoder
         return Footprint.round(TYPICAL_PX2)
 
     parts = [(slice(row, row + _TILE_PX), slice(column, column + _TILE_PX)) for row, column in corners.tolist()]
-    frames = [dict(code_images.equalised(part, code_images.plan.fringe_frames)) for part in parts]
+    frames = [dict(code_images.frames.by_number(part, code_images.plan.fringe_frames)) for part in parts]
 
     def tiles(image: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([image[part] for part in parts])

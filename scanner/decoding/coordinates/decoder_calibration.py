@@ -19,7 +19,7 @@ import scipy
 from numpy.typing import NDArray
 
 from calib.finding import Finding, FindingKind, Severity
-from calib.numerics import Bools, Floats32, Image, evenly_spread, lines_of, median
+from calib.numerics import Bools, Floats32, Image, Ints, evenly_spread, lines_of, median
 from scanner.decoding.codes import CodeWords, cell_numbers, check_codes
 from scanner.decoding.coordinates.axis_decoder import (
     AxisDecoder,
@@ -67,24 +67,23 @@ BLURRED_FRINGES = FindingKind(
 )
 
 
-def resolve_bits(code_images: CodeImages, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[Finding]:
-    """Drop the bits that are not resolved at sample pixels (P,); yield a warning for each code."""
-    chosen = []
+def resolve_bits(code_images: CodeImages, noise: NoiseModel, pixels: Ints) -> tuple[CodeImages, list[Finding]]:
+    """Return the images without the bits that are not resolved at sample pixels (P,), and a warning for each code."""
+    chosen: list[CodeWords] = []
+    findings = []
     for code_words in code_images.codes:
         resolved, count = _resolved(code_images, code_words, noise, pixels) if code_words.fine else (code_words, 0)
         chosen.append(resolved)
         if count:
             code = code_words.code
             bits, cell = range(code.bits - count, code.bits), chosen[-1].code.cell
-            yield Finding(
-                UNRESOLVED_BITS,
-                Severity.WARNING,
+            message = (
                 f"Bit {', '.join(map(str, bits))} of the Gray code along {code.axis} is too fine for the lenses and "
-                f"was left out: cells of {cell} px are decoded.",
-                UNRESOLVED_BITS.remedy,
-                {"bits": tuple(bits), "cell_px": float(cell)},
+                f"was left out: cells of {cell} px are decoded."
             )
-    code_images.decode_as(chosen)
+            values: dict[str, float | tuple[int, ...]] = {"bits": tuple(bits), "cell_px": float(cell)}
+            findings.append(Finding(UNRESOLVED_BITS, Severity.WARNING, message, UNRESOLVED_BITS.remedy, values))
+    return code_images.decoded_as(chosen), findings
 
 
 def _resolved(
@@ -150,8 +149,10 @@ def _count_left_out(code_images: CodeImages, code_words: CodeWords, noise: Noise
     return counts.stop
 
 
-def drop_lost_fringes(code_images: CodeImages, noise: NoiseModel, sample: Sample) -> Iterator[Finding]:
-    """Drop all fringes if blur leaves hardly any on an axis with a code, judged by a sample; yield a warning."""
+def drop_lost_fringes(code_images: CodeImages, noise: NoiseModel, sample: Sample) -> tuple[CodeImages, Finding | None]:
+    """Return the images without fringes, and a warning, if blur leaves hardly any on an axis with a code, judged by a
+    sample; otherwise as they are.
+    """
     pixels = evenly_spread(sample.pixels)
     signals = signals_of(
         code_images, lambda image: image.reshape(1, -1)[:, pixels], lambda frame: evenly_spread(sample.level(frame))
@@ -161,17 +162,17 @@ def drop_lost_fringes(code_images: CodeImages, noise: NoiseModel, sample: Sample
         for axis, of_axis in zip(code_images.plan.axes, signals, strict=True)
         if axis.codes and axis.fringes and _is_lost(axis, of_axis, code_images, noise, sample)
     ]
-    if lost and all(axis.codes for axis in code_images.plan.axes):
-        code_images.forget_fringes()
-        cell = max(axis.cell for axis in lost)
-        yield Finding(
-            BLURRED_FRINGES,
-            Severity.WARNING,
-            f"The fringes along {' and '.join(axis.axis for axis in lost)} are blurred away and were left out: cells "
-            f"of the Gray code of {cell:g} px are decoded.",
-            BLURRED_FRINGES.remedy,
-            {"cell_px": float(cell)},
-        )
+    if not lost or not all(axis.codes for axis in code_images.plan.axes):
+        return code_images, None
+    cell = max(axis.cell for axis in lost)
+    message = (
+        f"The fringes along {' and '.join(axis.axis for axis in lost)} are blurred away and were left out: cells "
+        f"of the Gray code of {cell:g} px are decoded."
+    )
+    values = {"cell_px": float(cell)}
+    return code_images.without_fringes(), Finding(
+        BLURRED_FRINGES, Severity.WARNING, message, BLURRED_FRINGES.remedy, values
+    )
 
 
 def _is_lost(axis: AxisPlan, signals: Signals, code_images: CodeImages, noise: NoiseModel, sample: Sample) -> bool:

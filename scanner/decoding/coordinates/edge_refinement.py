@@ -21,7 +21,6 @@ from calib.numerics import (
     Bools,
     Floats,
     Floats32,
-    Image,
     Ints,
     Window,
     around,
@@ -31,7 +30,7 @@ from calib.numerics import (
     lines_of,
     widened,
 )
-from scanner.decoding.codes import CELLS_PER_PIXEL, BitLevels, CodeWords, interpolate
+from scanner.decoding.codes import CELLS_PER_PIXEL, CodeWords, StripeLevels, interpolate
 from scanner.decoding.coordinates.axis_decoder import Coordinate, largest_variance, least_contrasts
 from scanner.decoding.coordinates.code_images import CodeImages
 from scanner.decoding.coordinates.coordinate_map import CoordinateMap, breaks
@@ -233,12 +232,10 @@ def _without_breaks(plan: SequencePlan, maps: CoordinateMap) -> CoordinateMap:
     return maps.masked(kept & broken, MaskReason.ISOLATED)
 
 
-def _levels_of(code_images: CodeImages, code: GrayCode, part: Window) -> BitLevels:
+def _levels_of(code_images: CodeImages, code: GrayCode, part: Window) -> StripeLevels:
     """Return the grey levels of a code's bits in a part of the image."""
-    thresholds: dict[int, Image] = {}
-    if code.unpaired:
-        thresholds = code_images.thresholds(dict(code_images.equalised(part)))
-    return BitLevels.of(code, *code_images.stacked(part, code.frames), thresholds)
+    thresholds = code_images.thresholds(part) if code.unpaired else {}
+    return StripeLevels.of(code, *code_images.frames.stacked(part, code.frames), thresholds)
 
 
 def _in_projector_px(code: GrayCode, value: Floats32, variance: Floats32) -> None:

@@ -1,16 +1,16 @@
 """The frames of a capture, read as they would be without the effects on whole frames that are corrected."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from calib.finding import Finding, FindingKind, Severity
-from calib.numerics import TRIAL_PIXELS, WHOLE, Image, Part, evenly_spread
+from calib.numerics import TRIAL_PIXELS, WHOLE, Image, Part, Window, evenly_spread
 from scanner.decoding.corrections.camera_response import FULL_SCALE, CameraResponse, camera_response
-from scanner.decoding.corrections.gains import brighten_white, equalise, fit_bits, gains_of_pairs
+from scanner.decoding.corrections.gains import FrameGains, fit_bits, gains_of_pairs, with_white_as_in_patterns
 from scanner.decoding.corrections.ghost import Ghost, find_ghost
 from scanner.decoding.frame_stack import FrameStack
 from scanner.decoding.light import (
@@ -51,8 +51,8 @@ class Correction(Protocol):
 
 @dataclass(frozen=True)
 class FrameCorrections:
-    """The camera's `response`, a `ghost` of the previous picture, and an ambient light change (`switch`); None if
-    absent.
+    """The camera's `response`, a `ghost` of the previous picture, an ambient light change (`switch`), and the `gains`
+    of frames of different brightness; None if absent.
 
     They are corrected in this order, the reverse of that in which they occur.
     """
@@ -60,17 +60,18 @@ class FrameCorrections:
     response: CameraResponse | None = None
     ghost: Ghost | None = None
     switch: AmbientLightChange | None = None
+    gains: FrameGains | None = None
 
     @property
     def in_order(self) -> tuple[Correction, ...]:
         """Those that there are, in the order in which they are applied."""
-        every = self.response, self.ghost, self.switch
+        every = self.response, self.ghost, self.switch, self.gains
         return tuple(correction for correction in every if correction is not None)
 
-    @property
-    def are_any(self) -> bool:
-        """Whether anything is corrected."""
-        return bool(self.in_order)
+    def change(self, frames: Collection[int]) -> bool:
+        """Whether any of some frames, by number, is corrected."""
+        changed = {frame for group in self.gains.harmful for frame in group} if self.gains else set()
+        return any((self.response, self.ghost, self.switch)) or not changed.isdisjoint(frames)
 
     def findings(self, plan: SequencePlan) -> Iterator[Finding]:
         """Yield a warning for each effect that was corrected."""
@@ -116,9 +117,44 @@ class CorrectedFrames:
             frames = replace(frames, read=partial(correction.apply, frames))
         return frames.read(range(len(self.taken)) if places is None else places)
 
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of the frames, as long as no gains are taken out of fringes."""
+        return next(self.read((slice(0, 1), slice(0, 1)), [0])).dtype
+
+    def by_number(self, part: Part = WHOLE, numbers: Collection[int] | None = None) -> Iterator[tuple[int, Image]]:
+        """Yield the number of each frame, or of some, and a part of it, in the order in which they were first taken."""
+        places = self._places(numbers)
+        yield from zip(places, self.read(part, [*places.values()]), strict=True)
+
+    def stacked(self, part: Window, numbers: Collection[int]) -> tuple[Image, dict[int, int], tuple[int, int]]:
+        """Return a stack (N, ...) that holds some frames, by number; the place of each in it; and the row and column at
+        which a part begins in it.
+
+        The frames as they were kept, if they are not corrected.
+        """
+        places = self._places(numbers)
+        if not self.corrections.change(numbers):
+            return self.taken, places, (part[0].start, part[1].start)
+        # Fringes that were equalised are no whole grey levels any more.
+        kinds = {frame.dtype for _, frame in self.by_number((slice(0, 1), slice(0, 1)), numbers)}
+        stack = np.empty((len(places), *self.taken[0][part].shape), np.result_type(np.uint8, *kinds))
+        for into, (_, frame) in zip(stack, self.by_number(part, numbers), strict=True):
+            into[:] = frame
+        return stack, {number: place for place, number in enumerate(places)}, (0, 0)
+
+    def with_gains(self, gains: FrameGains) -> "CorrectedFrames":
+        """Return the frames with other gains taken out."""
+        return replace(self, corrections=replace(self.corrections, gains=gains))
+
     def sampled(self) -> Samples:
         """Return samples of the frames."""
         return Samples.read(self.plan, self.taken.shape[1:], self.read)
+
+    def _places(self, numbers: Collection[int] | None) -> dict[int, int]:
+        """Return the place at which each frame, or each of some, was first taken, by number, in ascending order."""
+        first = {number: self.plan.shown.index(number) for number in dict.fromkeys(self.plan.shown)}
+        return {number: place for number, place in first.items() if numbers is None or number in numbers}
 
 
 def estimate_corrections(stack: FrameStack) -> FrameCorrections:
@@ -162,12 +198,11 @@ def _check_sample(stack: FrameStack, corrections: FrameCorrections) -> AmbientLi
     checks find. Raises InputError.
     """
     plan, samples = stack.plan, CorrectedFrames(stack.plan, stack.frames, corrections).sampled()
-    sample = samples.scattered
     saturation = float(FULL_SCALE) if corrections.response else stack.saturation
-    gains, (_, white_gain) = gains_of_pairs(plan, sample), fit_bits(plan, sample)
-    brighten_white(plan, sample, white_gain)
-    levels, noise = sample.levels, measure_noise(plan, sample, saturation)
-    groups = equalise(plan, samples, gains, lit_by(np.ptp(levels, axis=0)))
-    if any(of_group.are_harmful for of_group in groups.values()):
-        noise = measure_noise(plan, sample, saturation)
+    of_pairs, (_, white_gain) = gains_of_pairs(plan, samples.scattered), fit_bits(plan, samples.scattered)
+    samples = with_white_as_in_patterns(plan, samples, white_gain)
+    levels = samples.scattered.levels
+    gains = FrameGains(of_pairs).with_fringes(plan, samples.scattered, lit_by(np.ptp(levels, axis=0)))
+    sample = gains.without(plan, samples).scattered
+    noise = measure_noise(plan, sample, saturation)
     return check_frames(plan, levels, sample.levels, noise, saturation)[1]

@@ -10,13 +10,15 @@ changes, and fine stripes that lose light change the two levels of a bit. Both a
 + l (W − B), or lit I = a B + u (W − B), with a, l and u common to the frame.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from math import sqrt
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats32, Image, Ints, median, medians, robust_sigma
 from scanner.decoding.light import (
@@ -25,8 +27,10 @@ from scanner.decoding.light import (
     PASSES,
     Gains,
     LitRows,
+    PartOfFrames,
     Sample,
     Samples,
+    flicker_of,
     gains_of_fringe,
     gains_of_pair,
     lit_by,
@@ -37,6 +41,8 @@ from scanner.decoding.significance import FEW, FEWEST_PIXELS, HUBER_ROUNDS, MAJO
 
 # Levels are alike up to this share of white minus black: a threshold and the one half-way, or white in several bits.
 _ALIKE = 0.05
+# Of groups of frames, by the numbers of their frames.
+GroupGains = dict[tuple[int, ...], Gains]
 # Quantiles of a bit's levels in its dark and in its bright stripes: blurred edges and interreflection are in between.
 TAILS = (0.05, 0.95)
 
@@ -146,12 +152,15 @@ def as_in_patterns(white: Image, threshold: Image, white_gain: float) -> tuple[I
     return brighter, half_way
 
 
-def brighten_white(plan: SequencePlan, sample: Sample, white_gain: float) -> None:
-    """Make the white frame in a sample as bright as white is in the patterns, in place."""
-    if white_gain != 1 and plan.white is not None:
-        white = sample.level(plan.white)
-        ends = white_and_threshold(plan, {frame: sample.level(frame) for frame in dict.fromkeys(plan.shown)})
-        sample.divide(plan.white, np.maximum(white, 1) / np.maximum(as_in_patterns(*ends, white_gain)[0], 1))
+def with_white_as_in_patterns(plan: SequencePlan, samples: Samples, white_gain: float) -> Samples:
+    """Return samples whose scattered pixels have a white frame as bright as white is in the patterns."""
+    if white_gain == 1 or plan.white is None:
+        return samples
+    sample = samples.scattered
+    ends = white_and_threshold(plan, {frame: sample.level(frame) for frame in dict.fromkeys(plan.shown)})
+    brighter = np.maximum(as_in_patterns(*ends, white_gain)[0], 1)
+    white = np.maximum(sample.level(plan.white), 1)
+    return replace(samples, scattered=sample.divided({plan.white: white / brighter}))
 
 
 def _parts(relative: Floats32, black: Floats32, is_bright: Bools) -> tuple[float, float, float]:
@@ -169,7 +178,7 @@ _FEWEST_CELLS, _MOST_CELLS, _FEWEST_PER_CELL = 16, 64, 32
 _MOST_CONTRAST = 1.5
 
 
-def gains_of_pairs(plan: SequencePlan, sample: Sample) -> dict[tuple[int, ...], Gains]:
+def gains_of_pairs(plan: SequencePlan, sample: Sample) -> GroupGains:
     """Return the gains of patterns and their inverses, relative to the pairs before them.
 
     The first pair is white and black; without them it is the reference, and left out.
@@ -182,7 +191,7 @@ def gains_of_pairs(plan: SequencePlan, sample: Sample) -> dict[tuple[int, ...], 
     }
     ends = [(plan.white, plan.black)] if plan.white is not None and plan.black is not None else []
     pairs = sorted({*plan.complements} - {*ends}, key=lambda pair: max(map(plan.shown.index, pair)))
-    gains_of: dict[tuple[int, ...], Gains] = {}
+    gains_of: GroupGains = {}
     bits: dict[tuple[int, int], Bools] = {}
     swing, total = np.zeros((2, *sample.rows.shape), np.float32)
     lit = np.arange(0)
@@ -270,15 +279,15 @@ def _cells(coarser: Sequence[Bools], pixels: int) -> tuple[Ints, Ints]:
     return number[of_pixel], count[full]
 
 
-def swings_of(plan: SequencePlan, levels: Floats32, places: LitRows) -> dict[Fringe, Gains]:
-    """Return, for each evenly stepped fringe, the gains of its steps.
+def gains_of_fringes(plan: SequencePlan, levels: Floats32, places: LitRows) -> GroupGains:
+    """Return the gains of the steps of each evenly stepped fringe.
 
     `levels` (frames, P): of lit pixels. Empty for a single fringe, as the offset is known only from other fringes.
     """
     even = [fringe for axis in plan.axes for fringe in axis.fringes if fringe.equal_steps and not axis.is_unchecked]
     if len(even) < 2:
         return {}
-    gains_of: dict[Fringe, Gains] = {}
+    gains_of: GroupGains = {}
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
     # The offset of a fringe comes from the others, so that an error in one affects the rest; hence the passes.
     for _ in range(PASSES):
@@ -289,7 +298,7 @@ def swings_of(plan: SequencePlan, levels: Floats32, places: LitRows) -> dict[Fri
             steady = Gains(np.ones((len(of_fringe), 1)))
             gains = steady if is_steady else gains_of_fringe(fringe, of_fringe, common, places)
             means[number] = (of_fringe / gains.at(places.rows)).mean(axis=0).astype(np.float32)
-            gains_of[fringe] = gains
+            gains_of[fringe.frames] = gains
         if not any(gains.are_harmful for gains in gains_of.values()):
             break
     return gains_of
@@ -312,33 +321,68 @@ def _are_steps_steady(fringe: Fringe, levels: Floats32, common: Floats32) -> boo
     )
 
 
-def equalise(
-    plan: SequencePlan, samples: Samples, of_pairs: Mapping[tuple[int, ...], Gains], lit: Ints
-) -> dict[tuple[int, ...], Gains]:
-    """Equalise frames that differ in brightness in the samples, in place; return the gains of pairs and fringes.
+@dataclass(frozen=True)
+class FrameGains:
+    """The relative brightness of the frames of each group that adds up to the same light, by its frames' numbers."""
 
-    `lit`: the lit pixels of the scattered sample that tell the gains of fringes.
-    """
-    sample = samples.scattered
-    places = LitRows(sample.rows[lit], sample.shape[0])
-    of_fringes = swings_of(plan, sample.levels[:, lit], places)
-    groups: dict[tuple[int, ...], Gains] = {**of_pairs, **{f.frames: gains for f, gains in of_fringes.items()}}
-    for frames, gains in groups.items():
-        if gains.are_harmful:
-            samples.equalise(plan, frames, gains)
-    for frames, by in _outlier_groups(groups, sample):
-        samples.equalise(plan, frames, Gains(np.full((len(frames), 1), by)))
-    return groups
+    of_pairs: GroupGains
+    """Of patterns and their inverses."""
+    of_fringes: GroupGains = field(default_factory=dict)
+    """Of the steps of fringes."""
+    lit: LitRows | None = None
+    """Of the pixels that tell those of fringes; None if none do."""
 
+    @property
+    def harmful(self) -> GroupGains:
+        """Those of the groups whose frames differ enough to do harm."""
+        return {frames: gains for frames, gains in (self.of_pairs | self.of_fringes).items() if gains.are_harmful}
 
-def _outlier_groups(groups: Mapping[tuple[int, ...], Gains], sample: Sample) -> Iterator[tuple[tuple[int, ...], float]]:
-    """Yield groups of equalised frames that differ in brightness from the other pairs or fringes, with the ratio.
+    @property
+    def flicker(self) -> float | None:
+        """As in `Decoding`."""
+        return flicker_of([*self.of_pairs.values(), *self.of_fringes.values()])
 
-    Those whose gains were not harmful are the reference, if any.
-    """
-    for kind in ([f for f in groups if len(f) == 2], [f for f in groups if len(f) > 2]):
-        means = np.array([np.mean([np.mean(sample.level(frame)) for frame in frames]) for frames in kind])
-        differed = np.array([groups[frames].are_harmful for frames in kind], np.bool_)
-        if differed.any():
-            usual = float(np.median(means if differed.all() else means[~differed]))
-            yield from ((kind[at], float(means[at]) / usual) for at in np.flatnonzero(differed))
+    def with_fringes(self, plan: SequencePlan, sample: Sample, lit: Ints) -> "FrameGains":
+        """Return the gains with those of fringes, as some lit pixels of a sample tell them."""
+        places = LitRows(sample.rows[lit], sample.shape[0])
+        return FrameGains(self.of_pairs, gains_of_fringes(plan, sample.levels[:, lit], places), places)
+
+    def without(self, plan: SequencePlan, samples: Samples) -> Samples:
+        """Return samples of equally bright frames, and of groups as bright as the others of their kind."""
+        equalised = samples.divided(plan, self.harmful)
+        outlying = self._outlying(equalised.scattered)
+        return equalised.divided(plan, {group: Gains(np.full((len(group), 1), by)) for group, by in outlying})
+
+    def apply(self, frames: PartOfFrames, places: Sequence[int]) -> Iterator[Image]:
+        """Yield the frames (...) at some places, equally bright: patterns and their inverses as the darker of the two,
+        in whole grey levels; the steps of fringes divided by their gains.
+        """
+        for place, levels in zip(places, frames.read(places), strict=True):
+            equalised = self._by_frame.get(frames.plan.shown[place])
+            yield equalised(levels, frames.rows) if equalised else levels
+
+    @cached_property
+    def _by_frame(self) -> dict[int, Callable[[Image, Ints], NDArray[Any]]]:
+        """What makes the levels of a frame, by its number, in some rows as bright as those of the others."""
+        return {
+            frame: partial(gains.to_darkest if group in self.of_pairs else self._of_steps(gains).divided, number)
+            for group, gains in self.harmful.items()
+            for number, frame in enumerate(group)
+        }
+
+    def _of_steps(self, gains: Gains) -> Gains:
+        """Return the gains of a fringe's steps, for whole frames."""
+        return gains if self.lit is None else gains.within(self.lit)
+
+    def _outlying(self, sample: Sample) -> Iterator[tuple[tuple[int, ...], float]]:
+        """Yield groups of equalised frames that differ in brightness from the other pairs or fringes, with the ratio.
+
+        Those whose gains were not harmful are the reference, if any.
+        """
+        for groups in (self.of_pairs, self.of_fringes):
+            kind = [*groups]
+            means = np.array([np.mean([np.mean(sample.level(frame)) for frame in frames]) for frames in kind])
+            differed = np.array([groups[frames].are_harmful for frames in kind], np.bool_)
+            if differed.any():
+                usual = float(np.median(means if differed.all() else means[~differed]))
+                yield from ((kind[at], float(means[at]) / usual) for at in np.flatnonzero(differed))

@@ -7,6 +7,7 @@ from scanner.decoding.light.brightness import (
     PASSES,
     Gains,
     LitRows,
+    flicker_of,
     gains_of_fringe,
     gains_of_pair,
     residual_of_gains,

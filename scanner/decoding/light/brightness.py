@@ -14,7 +14,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Floats32, Image, Part, fit_reweighted, median, robust_sigma
+from calib.numerics import Floats, Floats32, Image, Ints, fit_reweighted, median, robust_sigma
 from scanner.decoding.light.exposures import LIT
 from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, NEGLIGIBLE, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
@@ -72,19 +72,19 @@ class Gains:
         """Whether the gains depend on the row."""
         return len(self.of_rows[0]) > 1
 
-    def at(self, rows: NDArray[np.int64]) -> Floats:
-        """Return the gains at given rows, (frames, P), or (frames, 1) if uniform."""
+    def at(self, rows: Ints) -> Floats:
+        """Return the gains at given rows (...), (frames, ...), or (frames, 1) if uniform."""
         return self.of_rows[:, rows] if self.are_banded else self.of_rows
 
-    def equalised(self, frame: int, image: Image, part: Part) -> Image:
-        """Scale a part of one of the frames to the darkest of the group, keeping its type."""
-        gains = self._in(part)
-        result: Image = np.rint(image * _as_rows_of(image, gains.min(axis=0) / gains[frame])).astype(image.dtype)
-        return result
+    def to_darkest(self, frame: int, levels: Image, rows: Ints) -> Image:
+        """Return levels (...) of one of the frames, in some rows, as bright as the darkest frame; whole ones."""
+        gains = self.at(rows)
+        scaled: Image = np.rint(levels * (gains.min(axis=0) / gains[frame]).astype(np.float32)).astype(levels.dtype)
+        return scaled
 
-    def divided(self, frame: int, image: Image, part: Part) -> Floats32:
-        """Divide a part of one of the frames by its gain."""
-        divided: Floats32 = image.astype(np.float32) / _as_rows_of(image, self._in(part)[frame])
+    def divided(self, frame: int, levels: Image, rows: Ints) -> Floats32:
+        """Return levels (...) of one of the frames, in some rows, without its gain."""
+        divided: Floats32 = levels.astype(np.float32) / self.at(rows)[frame].astype(np.float32)
         return divided
 
     def within(self, places: LitRows) -> "Gains":
@@ -93,14 +93,6 @@ class Gains:
         lit = slice(places.rows[0], places.rows[-1] + 1)
         beyond[:, lit] = self.of_rows[:, lit]
         return Gains(beyond) if self.are_banded else self
-
-    def _in(self, part: Part) -> Floats:
-        return self.of_rows[:, part[0]] if self.are_banded else self.of_rows
-
-
-def _as_rows_of(image: Image, values: Floats) -> Floats32:
-    """Return values of each row, or one, in a shape that fits an image (H, W), or pixels (P,)."""
-    return values.astype(np.float32).reshape(-1, *[1] * (image.ndim - 1))
 
 
 def residual_of_gains(levels: Floats32, common: Floats32) -> Floats:

@@ -1,8 +1,8 @@
 """Samples of the frames, from which everything but the coordinates is measured: pixels at random, tiles, and a grid."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self, cast
 
@@ -81,18 +81,15 @@ class Sample:
         """Return the grey levels (...) of a frame that has been added."""
         return self._frames[frame]
 
-    def divide(self, frame: int, by: Floats) -> None:
-        """Divide the grey levels of a frame by a factor of each pixel (...), or of all."""
-        self._frames[frame] = (self._frames[frame] / by).astype(np.float32)
-        self.is_divided = True
-        for sample in self.beside:
-            sample.divide(frame, by)
-
-    def copy(self) -> Self:
-        """Return a sample of the same frames, which may be divided by themselves."""
-        copied = copy(self)
-        copied.beside, copied._frames = tuple(sample.copy() for sample in self.beside), dict(self._frames)
-        return copied
+    def divided(self, by: Mapping[int, Floats]) -> Self:
+        """Return the sample with some frames divided by a factor of each pixel (...), or of all; by number."""
+        if not by:
+            return self
+        divided = copy(self)
+        quotients = {frame: (self._frames[frame] / factor).astype(np.float32) for frame, factor in by.items()}
+        divided._frames, divided.is_divided = self._frames | quotients, True
+        divided.beside = tuple(sample.divided(by) for sample in self.beside)
+        return divided
 
     def without(self, chosen: Bools) -> "Sample":
         """Return a sample without the chosen pixels (H, W)."""
@@ -135,9 +132,11 @@ class TileSample(Sample):
         """Return the place, for fringes."""
         return place if plan.shown[place] in plan.fringe_frames else None
 
-    def leave_out(self, moved: Bools) -> None:
-        """Exclude the pixels of the image (H, W) where objects moved from the `static` ones (P,)."""
-        self.static = ~cast(Bools, self.of(moved))
+    def leaving_out(self, moved: Bools) -> "TileSample":
+        """Return the sample without the pixels of the image (H, W) where objects moved among the `static` ones (P,)."""
+        rest = copy(self)
+        rest.static = ~cast(Bools, self.of(moved))
+        return rest
 
     @cached_property
     def camera_px(self) -> Floats:
@@ -202,10 +201,6 @@ class Samples:
         scattered = Sample.at_random((height, width), neighbours=repeats < MAJORITY)
         return cls(scattered, TileSample(scattered.shape), GridSample(scattered.shape))
 
-    def copy(self) -> Self:
-        """Return samples of the same frames, which may be divided by themselves."""
-        return replace(self, scattered=self.scattered.copy(), tiles=self.tiles.copy(), grid=self.grid.copy())
-
     @property
     def each(self) -> tuple[Sample, ...]:
         """All samples."""
@@ -226,10 +221,17 @@ class Samples:
                 sample.add(plan, place, levels)
         return samples
 
-    def equalise(self, plan: SequencePlan, frames: Sequence[int], gains: Gains) -> None:
-        """Divide some frames by their gains."""
-        for sample in (self.scattered, self.tiles, self.grid):
-            for frame, gain in zip(frames, gains.at(sample.rows), strict=True):
-                number = plan.shown.index(frame) if sample is self.tiles else frame
-                if sample.has(number):
-                    sample.divide(number, gain)
+    def divided(self, plan: SequencePlan, groups: Mapping[tuple[int, ...], Gains]) -> "Samples":
+        """Return samples with groups of frames divided by their gains."""
+        scattered, tiles, grid = (
+            sample.divided(
+                {
+                    number: gain
+                    for frames, gains in groups.items()
+                    for frame, gain in zip(frames, gains.at(sample.rows), strict=True)
+                    if sample.has(number := plan.shown.index(frame) if sample is self.tiles else frame)
+                }
+            )
+            for sample in (self.scattered, self.tiles, self.grid)
+        )
+        return Samples(scattered, cast(TileSample, tiles), cast(GridSample, grid))

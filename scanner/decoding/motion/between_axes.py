@@ -99,7 +99,7 @@ class EvenLight:
 
         def add(strip: slice) -> None:
             there = slice(rows.start + scale * strip.start, rows.start + scale * strip.stop), columns
-            frames, places, corner = self.code_images.stacked(there, needed)
+            frames, places, corner = self.code_images.frames.stacked(there, needed)
             for group, picture in zip(groups, pictures, strict=True):
                 numbers = np.array([places[frame] for frame in group], np.int64)
                 weights = np.array([*group.values()], np.float32) / np.float32(scale**2)

@@ -222,28 +222,29 @@ _NEAR_CELLS = 1.5
 _MOST_CORRUPTED = 2  # bits of a pixel: one that is hidden longer stays corrupted
 
 
-def repair_codes(code_images: CodeImages, inconsistent: InconsistentPixels | None) -> Bools | None:
-    """Decide corrupted bits of plain Gray codes, in place; return the pixels (H, W) that remain corrupted, None if
-    nothing moved.
+def repair_codes(code_images: CodeImages, inconsistent: InconsistentPixels | None) -> tuple[CodeImages, Bools | None]:
+    """Return the images with corrupted bits of plain Gray codes decided, and the pixels (H, W) that remain corrupted,
+    None if nothing moved.
     """
     if inconsistent is None:
-        return None
+        return code_images, None
     unrepaired, decided = (np.zeros(code_images.white.shape, np.bool_) for _ in range(2))
     corrupted = inconsistent.corrupted_by_frames
-    for code_words in code_images.codes:
+    codes = list(code_images.codes)
+    for number, code_words in enumerate(codes):
         by_bit = {bit: corrupted[pair] for bit, pair in code_words.code.pairs.items() if pair in corrupted}
         if by_bit and code_words.code.base is None:
-            frames = dict(code_images.equalised(frames=code_words.code.frames))
-            repaired = repair_bits(code_words, by_bit, frames, inconsistent.static)
+            frames = dict(code_images.frames.by_number(numbers=code_words.code.frames))
+            codes[number], repaired = repair_bits(code_words, by_bit, frames, inconsistent.static)
             unrepaired |= np.logical_or.reduce(list(by_bit.values())) & ~repaired
             decided |= repaired
-    return inconsistent.corrupted & (unrepaired | ~decided)
+    return code_images.decoded_as(codes), inconsistent.corrupted & (unrepaired | ~decided)
 
 
 def repair_bits(
     code_words: CodeWords, corrupted: Mapping[int, Bools], frames: Mapping[int, Image], static: Bools
-) -> Bools:
-    """Decide corrupted bits of a plain Gray code, in place; return the pixels (H, W) at which all of them are decided.
+) -> tuple[CodeWords, Bools]:
+    """Return a plain Gray code with corrupted bits decided, and the pixels (H, W) at which all of them are.
 
     `corrupted`: by bit, the pixels (H, W) at which its frames are corrupted. `frames`: by number, those of the code (H,
     W). `static` (H, W): lit pixels at which nothing moved.
@@ -256,7 +257,7 @@ def repair_bits(
         code_words, {bit: where[part] for bit, where in corrupted.items()}, static[part], words[part]
     )
     if decision is None:
-        return decided
+        return code_words, decided
     decided[part], words[part] = decision
     least = np.full_like(code_words.least, np.iinfo(code_words.least.dtype).max)
     for bit, (normal, inverse) in code_words.code.pairs.items():
@@ -266,8 +267,7 @@ def repair_bits(
         decided &= ~(where & (cv2.morphologyEx(bit_image, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0))
         contrast = cv2.absdiff(frames[normal], frames[inverse]).astype(least.dtype)
         np.minimum(least, contrast, out=least, where=~where)
-    code_words.decide(decided, words, least)
-    return decided
+    return code_words.decided(decided, words, least), decided
 
 
 def _decided_words(

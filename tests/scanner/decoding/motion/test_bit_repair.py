@@ -52,7 +52,7 @@ def test_spoilt_bits_of_a_slanted_surface_are_decided(
     corrupted = dict(zip((bit, bit + 1), places, strict=True))
     fold, frames = folded(position, corrupted, seed)
     somewhere = places[0] | places[1]
-    decided = repair_bits(fold, corrupted, frames, ~somewhere)
+    fold, decided = repair_bits(fold, corrupted, frames, ~somewhere)
     right = cell_numbers(fold.words) == np.floor(position + fold.code.offset + 0.5)
     assert not decided[~somewhere].any()
     assert right[decided].mean() > 0.995
@@ -65,7 +65,7 @@ def test_nothing_is_decided_where_coordinates_grow_in_no_direction() -> None:
     corrupted = {3: np.ones(SHAPE, np.bool_)}
     corrupted[3][:, :60] = False
     fold, frames = folded(position, corrupted, 0)
-    assert not repair_bits(fold, corrupted, frames, ~corrupted[3]).any()
+    assert not repair_bits(fold, corrupted, frames, ~corrupted[3])[1].any()
 
 
 @pytest.mark.parametrize(("bits", "least", "most"), [(2, 0.6, 1.0), (5, 0.0, 0.0)])
@@ -74,7 +74,7 @@ def test_pixels_that_are_hidden_for_long_stay_spoilt(bits: int, least: float, mo
     place[10:110, 60:75] = True
     corrupted = dict.fromkeys(range(1, 1 + bits), place)
     fold, frames = folded(100 + 1.2 * np.indices(SHAPE)[1], corrupted, 0)
-    assert least <= np.mean(repair_bits(fold, corrupted, frames, ~place)[place]) <= most
+    assert least <= np.mean(repair_bits(fold, corrupted, frames, ~place)[1][place]) <= most
 
 
 @pytest.mark.parametrize("first", [4, 8], ids=["coarse", "finer"])
