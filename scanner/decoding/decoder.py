@@ -121,8 +121,7 @@ def decode(stack: FrameStack, projector_size: tuple[int, int], calibration: Cali
     """
     corrections = estimate_corrections(stack)
     frames = CorrectedFrames(stack.plan, stack.frames, corrections)
-    samples = frames.sampled() if corrections.in_order else stack.samples
-    images, samples, observed = observe(frames, samples, stack.log_exposure, projector_size)
+    images, samples, observed = observe(frames, frames.sampled(stack.samples), stack.log_exposure, projector_size)
     # That of the camera itself, not of its corrected frames.
     noise = stack.noise if corrections.response else observed.noise
     with attribute_to_motion(lambda: observed.motion, observed.phase_jump):

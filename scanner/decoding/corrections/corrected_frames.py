@@ -147,9 +147,9 @@ class CorrectedFrames:
         """Return the frames with other gains taken out."""
         return replace(self, corrections=replace(self.corrections, gains=gains))
 
-    def sampled(self) -> Samples:
-        """Return samples of the frames."""
-        return Samples.read(self.plan, self.taken.shape[1:], self.read)
+    def sampled(self, taken: Samples) -> Samples:
+        """Return samples of the frames, given those of the frames as they were taken."""
+        return Samples.read(self.plan, self.taken.shape[1:], self.read) if self.corrections.in_order else taken
 
     def _places(self, numbers: Collection[int] | None) -> dict[int, int]:
         """Return the place at which each frame, or each of some, was first taken, by number, in ascending order."""
@@ -197,7 +197,7 @@ def _check_sample(stack: FrameStack, corrections: FrameCorrections) -> AmbientLi
     """Check the frames as corrected on samples of them, once equally bright; return the ambient light change that the
     checks find. Raises InputError.
     """
-    plan, samples = stack.plan, CorrectedFrames(stack.plan, stack.frames, corrections).sampled()
+    plan, samples = stack.plan, CorrectedFrames(stack.plan, stack.frames, corrections).sampled(stack.samples)
     saturation = float(FULL_SCALE) if corrections.response else stack.saturation
     of_pairs, (_, white_gain) = gains_of_pairs(plan, samples.scattered), fit_bits(plan, samples.scattered)
     samples = with_white_as_in_patterns(plan, samples, white_gain)
