@@ -18,7 +18,6 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.deferred_imports import open3d
 from calib.numerics import Bools, Floats, Ints
@@ -26,12 +25,24 @@ from hw.optional_parts import E57, LAS, STEP
 from scanner.errors import InputError
 from scanner.io.free_memory import require_memory
 from scanner.io.given_file import megabytes, opened
+from scanner.io.measured_points import are_repeated, are_stray, usable_normals
 from scanner.io.ply import read_frame
+from scanner.io.stored_points import (
+    MOST_POINTS,
+    StoredPoints,
+    ply_header,
+    points_of_pcd,
+    points_of_ply,
+    points_of_text,
+)
+from scanner.io.wavefront import read_obj
 
-MOST_POINTS = 2_000_000  # of a cloud, spread evenly over the file, that are kept
 _HEADER = 4096
+# Times as far from the middle as nine tenths of the points, from which on nothing is part of them. Of a mesh, most
+# corners may be in a detail.
+_STRAY, _STRAY_OF_MESH = 1e3, 1e6
 _UNIT = re.compile(r"unit ([A-Za-zµμ]+)")
-_GROWTH = 8  # bytes of memory for one of the file, at most, as it is read
+_GROWTH, _GROWTH_OF_TEXT = 8, 16  # bytes of memory for one of the file, at most, as it is read
 _PACKED = 40  # the same of compressed files
 _UNITS_OF_3MF = {
     "micron": "um",
@@ -66,6 +77,12 @@ class StoredSurface:
     """Points that were no finite numbers."""
     thinned_from: int | None
     """Points of the file, where only some were kept."""
+    at_origin: int = 0
+    """Points that were left out because they are exactly at (0, 0, 0), where programs put what was not measured."""
+    stray: int = 0
+    """Points that were left out because they are too far away from all others."""
+    repeated: int = 0
+    """Points that were left out because others are at exactly the same place."""
 
 
 def is_surface_file(path: Path) -> bool:
@@ -88,17 +105,18 @@ def read_surface(path: Path) -> StoredSurface:
         )
     with opened(path) as file:
         start = file.read(_HEADER)
-        size = file.seek(0, 2)
-    if not size:
+    if not start:
         raise InputError(f"{path}: is empty: expected a cloud or a mesh")
-    growth = _PACKED if kind in (".laz", ".3mf", ".e57", ".step", ".stp") else _GROWTH
-    require_memory(
-        growth * size, f"the {megabytes(size)} of {path}", "thin the cloud out before, or save it as binary PLY"
-    )
     surface = READERS[kind](path, start)
     if not len(surface.points):
         raise InputError(f"{path}: holds no point, or is damaged")
     return surface
+
+
+def _require_memory(path: Path, growth: int) -> None:
+    """For a file that is read as a whole."""
+    size = path.stat().st_size
+    require_memory(growth * size, f"the {megabytes(size)} of {path}", "thin it out before; a cloud, save as binary PLY")
 
 
 def _open3d() -> Any:
@@ -117,105 +135,158 @@ def _stated_unit(start: bytes) -> str | None:
 
 
 def _with(
-    points: NDArray[np.floating[Any]],
-    normals: NDArray[np.floating[Any]] | None,
+    points: Floats,
+    normals: Floats | None,
     unit: str | None,
     eye: Floats | None = None,
     dropped: int = 0,
     total: int | None = None,
 ) -> StoredSurface:
-    """A cloud of points (N, 3), thinned out and without those that are no numbers. `total`: points of the file."""
+    """A cloud of points (N, 3), thinned out and without what cannot have been measured. `total`: points of the file."""
     total = total or len(points)
     step = -(-len(points) // MOST_POINTS) if len(points) > MOST_POINTS else 1
-    points = points[::step]
-    normals = None if normals is None or len(normals) == 0 else normals[::step]
-    finite: Bools = np.isfinite(points).all(axis=1)
-    kept = np.asarray(points[finite], np.float64)
-    unit_normals = None if normals is None else _unit_length(np.asarray(normals[finite], np.float64))
-    lost = dropped + int(np.count_nonzero(~finite))
-    return StoredSurface(kept, unit_normals, None, unit, eye, lost, total if len(points) < total else None)
-
-
-def _unit_length(normals: Floats) -> Floats:
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        unit: Floats = np.where(length > 0, normals / length, 0.0)
-    return unit
+    points = np.asarray(points[::step], np.float64)
+    finite: Bools = np.asarray(np.isfinite(points).all(axis=1))
+    missing: Bools = finite & np.asarray(~points.any(axis=1))
+    if np.count_nonzero(missing) == 1:
+        missing = np.zeros_like(missing)
+    stray = np.zeros_like(finite)
+    measured = finite & ~missing
+    stray[measured] = are_stray(points[measured], _STRAY)
+    kept = measured & ~stray
+    repeated = are_repeated(points[kept])
+    kept[kept] = ~repeated
+    own = None if normals is None or len(normals) == 0 else usable_normals(points[kept], normals[::step][kept])
+    return StoredSurface(
+        points[kept],
+        own,
+        None,
+        unit,
+        eye,
+        dropped + int(np.count_nonzero(~finite)),
+        total if total > MOST_POINTS else None,
+        int(np.count_nonzero(missing)),
+        int(np.count_nonzero(stray)),
+        int(np.count_nonzero(repeated)),
+    )
 
 
 def _cloud(path: Path, start: bytes) -> StoredSurface:
-    cloud = _open3d().io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+    _require_memory(path, _GROWTH)
+    o3d = _open3d()
+    with _silent():
+        cloud = o3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
     return _with(np.asarray(cloud.points), np.asarray(cloud.normals), _stated_unit(start))
 
 
+def _of_points(stored: StoredPoints, start: bytes, eye: Floats | None = None) -> StoredSurface:
+    return _with(stored.points, stored.normals, _stated_unit(start), eye, stored.unreadable, stored.total)
+
+
+def _text(path: Path, start: bytes) -> StoredSurface:
+    return _of_points(points_of_text(path), start)
+
+
+def _pcd(path: Path, start: bytes) -> StoredSurface:
+    stored = points_of_pcd(path)
+    return _cloud(path, start) if stored is None else _of_points(stored, start)
+
+
 def _ply(path: Path, start: bytes) -> StoredSurface:
-    header = start.partition(b"end_header")[0]
-    faces = re.search(rb"element face (\d+)", header)
-    if faces and int(faces[1]) > 0:
-        return _mesh(path, start)
-    own = _cloud(path, start)
+    header = ply_header(path)
+    if faces := header.elements.get("face"):
+        return _mesh(path, start, faces)
+    if header.vertex is None:  # lists, or something before the vertices
+        return _cloud(path, start)
     eye = np.zeros(3) if read_frame(path).startswith("camera frame:") else None
-    return StoredSurface(own.points, own.normals, None, own.unit, eye, own.dropped, own.thinned_from)
+    return _of_points(points_of_ply(path, header), start, eye)
 
 
-def _mesh(path: Path, start: bytes) -> StoredSurface:
-    mesh = _open3d().io.read_triangle_mesh(str(path))
+def _off(path: Path, start: bytes) -> StoredSurface:
+    words = re.sub(rb"#.*", b"", start).split()
+    faces = words[2] if words[:1] == [b"OFF"] and len(words) > 2 else b"0"
+    return _mesh(path, start, int(faces) if faces.isdigit() else 0)
+
+
+def _mesh(path: Path, start: bytes, faces: int = 0) -> StoredSurface:
+    """A mesh that has `faces`, each of a triangle or more, if its header says so."""
+    _require_memory(path, _GROWTH)
+    o3d = _open3d()
+    with _silent():
+        mesh = o3d.io.read_triangle_mesh(str(path))
+    if 0 < len(mesh.triangles) < faces:
+        found = f"its header promises {faces:,} faces, and {len(mesh.triangles):,} triangles can be read"
+        raise InputError(f"{path}: is truncated or damaged: {found}: copy it again")
     return _triangles_of(path, mesh, "m" if path.suffix.lower() in (".glb", ".gltf") else _stated_unit(start))
+
+
+def _obj(path: Path, start: bytes) -> StoredSurface:
+    _require_memory(path, _GROWTH_OF_TEXT)
+    return _triangles(path, *read_obj(path), _stated_unit(start))
 
 
 def _step(path: Path, _start: bytes) -> StoredSurface:
     """The faces of all parts at their places, as triangles."""
     with STEP.needed("STEP", "cascadio", InputError):
         import cascadio
+    _require_memory(path, _PACKED)
     with tempfile.TemporaryDirectory() as folder:
         model = Path(folder) / "model.obj"  # in which parts are at their places, in millimetres
         with _silent():
             failed = cascadio.step_to_obj(str(path), str(model), _OFF_FACE_MM, _BETWEEN_TRIANGLES, use_colors=False)
         if failed:
             raise InputError(f"{path}: expected a model as STEP, found a damaged file, or one without a shape")
-        return _triangles_of(path, _open3d().io.read_triangle_mesh(str(model)), "mm")
+        return _triangles(path, *read_obj(model), "mm")
 
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Drop what libraries write to the standard output by themselves: OpenCASCADE tells errors there, in colours."""
+    """Drop what libraries write by themselves: OpenCASCADE tells errors in colours, RPly without the file's name."""
     sys.stdout.flush()
-    kept = os.dup(1)
+    sys.stderr.flush()
+    kept = os.dup(1), os.dup(2)
     try:
         with Path(os.devnull).open("wb") as nowhere:
             os.dup2(nowhere.fileno(), 1)
+            os.dup2(nowhere.fileno(), 2)
         yield
     finally:
-        os.dup2(kept, 1)
-        os.close(kept)
+        for number, own in enumerate(kept, start=1):
+            os.dup2(own, number)
+            os.close(own)
 
 
 def _triangles_of(path: Path, mesh: Any, unit: str | None) -> StoredSurface:
     mesh.remove_duplicated_vertices()
     points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
-    if not len(triangles):
-        raise InputError(f"{path}: holds no triangle, or is damaged")
     return _triangles(path, points, triangles, unit)
 
 
 def _triangles(path: Path, points: Floats, triangles: Ints, unit: str | None) -> StoredSurface:
     """A mesh without the triangles that have no extent."""
+    if not len(triangles):
+        kind = path.suffix[1:].upper()
+        raise InputError(f"{path}: holds no triangle, or is damaged: expected a mesh as {kind}; export it again")
     if triangles.min() < 0 or triangles.max() >= len(points):
         raise InputError(f"{path}: is damaged: triangles of points that it does not have")
-    finite = np.asarray(np.isfinite(points).all(axis=1))
+    finite: Bools = np.asarray(np.isfinite(points).all(axis=1))
+    stray = np.zeros_like(finite)
+    stray[finite] = are_stray(points[finite], _STRAY_OF_MESH)
     a, b, c = (points[triangles[:, k]] for k in range(3))
     with np.errstate(invalid="ignore", over="ignore"):
         area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    kept = triangles[finite[triangles].all(axis=1) & np.isfinite(area) & (area > 0)]
+    kept = triangles[(finite & ~stray)[triangles].all(axis=1) & np.isfinite(area) & (area > 0)]
     if not len(kept):
         raise InputError(f"{path}: holds no triangle that has an area")
     used, corners = np.unique(kept, return_inverse=True)
-    lost = int(np.count_nonzero(~finite))
-    return StoredSurface(points[used], None, corners.reshape(kept.shape).astype(np.int64), unit, None, lost, None)
+    lost, away = int(np.count_nonzero(~finite)), int(np.count_nonzero(stray))
+    own = corners.reshape(kept.shape).astype(np.int64)
+    return StoredSurface(points[used], None, own, unit, None, lost, None, stray=away)
 
 
 def _3mf(path: Path, _start: bytes) -> StoredSurface:
     """The meshes of all objects of a model, by the 3MF core specification, without their instances' placements."""
+    _require_memory(path, _PACKED)
     try:
         with zipfile.ZipFile(path) as file:
             models = [entry for entry in file.infolist() if entry.filename.lower().endswith(".model")]
@@ -242,6 +313,7 @@ def _3mf(path: Path, _start: bytes) -> StoredSurface:
 def _e57(path: Path, _start: bytes) -> StoredSurface:
     with E57.needed("E57", "pye57", InputError):
         import pye57
+    _require_memory(path, _PACKED)
     points, eyes = [], []
     try:
         with pye57.E57(str(path)) as file:
@@ -249,12 +321,13 @@ def _e57(path: Path, _start: bytes) -> StoredSurface:
                 scan = file.read_scan(number, ignore_missing_fields=True, transform=True)
                 points.append(np.stack([scan["cartesianX"], scan["cartesianY"], scan["cartesianZ"]], axis=1))
                 header = file.get_header(number)
-                eyes.append(np.asarray(header.translation, np.float64) if header.has_pose() else np.zeros(3))
+                eyes += [np.asarray(header.translation, np.float64)] if header.has_pose() else []
     except Exception as error:  # libE57's exceptions have no class in common with Python's
         raise InputError(f"{path}: expected a cloud as E57, found a damaged file") from error
     if not points:
         raise InputError(f"{path}: holds no scan")
-    return _with(np.concatenate(points), None, "m", eyes[0] if len(eyes) == 1 else None)
+    eye = eyes[0] if len(eyes) == len(points) == 1 else None  # without a pose, points may be in the frame of anything
+    return _with(np.concatenate(points), None, "m", eye)
 
 
 def _las(path: Path, _start: bytes) -> StoredSurface:
@@ -275,8 +348,11 @@ def _las(path: Path, _start: bytes) -> StoredSurface:
 
 READERS: dict[str, Callable[[Path, bytes], StoredSurface]] = {
     ".ply": _ply,
-    **dict.fromkeys((".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts"), _cloud),
-    **dict.fromkeys((".stl", ".obj", ".off", ".glb", ".gltf"), _mesh),
+    ".pcd": _pcd,
+    **dict.fromkeys((".xyz", ".xyzn", ".xyzrgb", ".pts"), _text),
+    ".off": _off,
+    ".obj": _obj,
+    **dict.fromkeys((".stl", ".glb", ".gltf"), _mesh),
     ".3mf": _3mf,
     **dict.fromkeys((".step", ".stp"), _step),
     ".e57": _e57,
