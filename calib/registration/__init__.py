@@ -61,7 +61,9 @@ from calib.registration.register import (
 )
 from calib.registration.sampled_surface import (
     SampledSurface,
+    are_opposed,
     cell_numbers,
+    enclosed_volume,
     extent_of,
     is_closed,
     local_noise,

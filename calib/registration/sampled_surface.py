@@ -30,6 +30,8 @@ _CREASE, _MOST_CREASES = (
     0.4,
 )  # radians of neighbouring normals; share of samples that have to be away from creases
 _ORIENTED, _ORIENTATION_NEIGHBOURS = 4000, 12
+_FAR = 100.0  # extents from the origin, at which single precision is 6e-6 of the extent
+_FLAT = 1e-6  # thickness relative to the extent, below which points are on a plane, or a line
 _FOR_THREADS = 2000  # points, from which a search in threads is worth it
 _SLOT = 1 << 21  # cells along an axis that a number of a cell has room for
 
@@ -124,14 +126,26 @@ def sample_surface(points: Floats, normals: Floats | None, cell: float, noise: f
     if known is None:
         means, _, count, spread = _means(points, np.broadcast_to([0.0, 0.0, 1.0], points.shape), None, cell)
         _require(means, points, cell)
-        found = scattered_surface(means[None].astype(np.float32)).normals[0].astype(np.float64)
-        return SampledSurface(means, _oriented(means, found), count, spread, cell, noise, False)
+        return SampledSurface(means, _normals_of(means), count, spread, cell, noise, False)
     means, directions, count, spread = _means(points, known, None, cell)
     _require(means, points, cell)
-    if _are_opposed(means, directions):
-        found = scattered_surface(means[None].astype(np.float32)).normals[0].astype(np.float64)
-        return SampledSurface(means, _oriented(means, found), count, spread, cell, noise, False)
+    if are_opposed(means, directions):
+        return SampledSurface(means, _normals_of(means), count, spread, cell, noise, False)
     return SampledSurface(means, directions, count, spread, cell, noise, True)
+
+
+def _normals_of(points: Floats) -> Floats:
+    """Normals (N, 3) whose signs agree along the surface. Raises ValueError if the points (N, 3) are on one line."""
+    extents, axes = np.linalg.eigh(np.cov(points.T))
+    if extents[1] < _FLAT**2 * extents[2]:
+        raise ValueError("the points of one of them are on a line, and show no surface")
+    least, size = points.min(axis=0), np.ptp(points, axis=0).max()
+    near = points if np.abs(points).max() < _FAR * size else points - (least - size)  # for single precision
+    normals: Floats = scattered_surface(near[None].astype(np.float32)).normals[0].astype(np.float64)
+    if extents[0] < _FLAT**2 * extents[2]:  # on a plane: there are no tetrahedra between the points
+        normals *= np.where(normals @ axes[:, 0] < 0, -1.0, 1.0)[:, None]
+        return normals
+    return _oriented(near, normals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +271,9 @@ def _are_usable(normals: Floats) -> bool:
 
 def _means(points: Floats, normals: Floats, count: Ints | None, cell: float) -> tuple[Floats, Floats, Ints, Floats]:
     """Mean points and normals (M, 3) of the cells, how many points they are, and how far these are spread, (M,)."""
-    _, of_cell = np.unique(cell_numbers(points, cell, points.min(axis=0)), return_inverse=True)
+    least = points.min(axis=0)
+    points = points - least  # squares of what is far from the origin would have lost the spread
+    _, of_cell = np.unique(cell_numbers(points, cell, np.zeros(3)), return_inverse=True)
     weight = np.ones(len(points)) if count is None else count.astype(np.float64)
     total = np.bincount(of_cell, weight)
     middle = np.stack([np.bincount(of_cell, weight * column) for column in points.T], axis=1) / total[:, None]
@@ -267,7 +283,7 @@ def _means(points: Floats, normals: Floats, count: Ints | None, cell: float) -> 
     length = np.linalg.norm(normal, axis=1)
     one_sided: Bools = length > _LEAST_NORMAL
     normal = normal[one_sided] / length[one_sided, None]
-    return middle[one_sided], normal, np.rint(total[one_sided]).astype(np.int64), spread[one_sided]
+    return middle[one_sided] + least, normal, np.rint(total[one_sided]).astype(np.int64), spread[one_sided]
 
 
 def cell_numbers(points: Floats, edge: float, origin: Floats) -> Ints:
@@ -278,8 +294,8 @@ def cell_numbers(points: Floats, edge: float, origin: Floats) -> Ints:
     return numbers
 
 
-def _are_opposed(points: Floats, normals: Floats) -> bool:
-    """Whether normals change their signs along the surface, as those of a mesh with flipped faces do."""
+def are_opposed(points: Floats, normals: Floats) -> bool:
+    """Whether normals (N, 3) of points (N, 3) change their signs along the surface, as of a mesh with flipped faces."""
     chosen = np.arange(0, len(points), max(1, len(points) // _NOISE_SAMPLE))
     _, index = scipy.spatial.cKDTree(points).query(points[chosen], 4)
     cosine = np.einsum("ni,nki->nk", normals[chosen], normals[np.asarray(index)[:, 1:]])
@@ -312,6 +328,12 @@ def is_closed(vertices: Floats, triangles: Ints) -> bool:
     edges = (np.minimum(corners, others) * len(vertices) + np.maximum(corners, others))[whole]
     counts = np.unique(edges, return_counts=True)[1]
     return len(counts) > 0 and bool(np.all(counts % 2 == 0))
+
+
+def enclosed_volume(vertices: Floats, triangles: Ints) -> float:
+    """The volume in a closed mesh, negative if its triangles run counter-clockwise as seen from within."""
+    a, b, c = (vertices[triangles[:, k]] - vertices[0] for k in range(3))
+    return float(np.sum(a * np.cross(b, c))) / 6
 
 
 def sample_mesh(vertices: Floats, triangles: Ints, count: int) -> tuple[Floats, Floats]:

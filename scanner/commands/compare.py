@@ -126,7 +126,7 @@ def _write(args: CompareCommand, comparison: SurfaceComparison, terminal: Termin
 
 
 def _exit_code(comparison: SurfaceComparison, *, allow: bool) -> int:
-    if not comparison.is_aligned:
+    if not comparison.is_aligned or not len(comparison.compared):
         return EXIT_REFUSED
     if comparison.test is None or comparison.test.conformity is Conformity.PASS:
         return 0

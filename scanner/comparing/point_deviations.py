@@ -1,6 +1,6 @@
 """Signed deviations of a surface's points from an aligned reference, with their sigmas, by points and by cells."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,8 +10,10 @@ from calib.registration import (
     CellDeviations,
     Deviations,
     Region,
+    SampledSurface,
     SurfacePoints,
     SurfaceRegistration,
+    are_opposed,
     cell_numbers,
     extent_of,
     find_regions,
@@ -22,11 +24,13 @@ from calib.registration import (
     sample_surface,
     spacing_of,
 )
+from scanner.comparing.outer_sides import outer_normals, towards
 from scanner.comparing.surfaces import ComparedSurface, nearest_values
 
 _CELLS, _SPACINGS, _REFERENCE_SPACINGS = 160.0, 3.0, 2.0
 _REACH_TOLERANCES, _REACH_TOLERANCE = 20.0, 3.0  # of the alignment; of the one that was given
 _SIDES = 6
+_OF_SIGNS = 100_000  # points of a mesh whose normals tell whether its faces are all on one side
 _BESIDE = 1.5  # cells, up to which a point of the reference is near a cell that was compared
 _SAMPLE, _OUTSIDE = 20_000, 0.01  # points that tell the extent; share of them outside of it at either end
 
@@ -51,6 +55,8 @@ class PointDeviations:
     """That deviate by more than chance allows."""
     reach: float
     """Largest deviation."""
+    knows_outside: bool
+    """Whether the signs are certain: one of the two says which side of the surface is outside."""
 
     @property
     def there(self) -> Bools:
@@ -88,18 +94,25 @@ def measure_deviations(
     assert found.best is not None
     pose, scale = found.best.pose, found.best.scale
     points = pose @ (scale * (second.points if not second.is_mesh else other.points))
-    normals = other.normals if second.is_mesh else second.normals
+    normals = _normals_of_mesh(other) if second.is_mesh else second.normals
     spacing = spacing_of(points)
-    are_oriented = normals is not None
+    reference = _reference(one)
+    are_oriented = True
     if normals is None:
-        surface = sample_surface(points, None, _cell(points, spacing))
-        normals = nearest_values(surface.points, surface.normals, points)
+        eye = None if second.eye is None else pose @ (scale * second.eye)
+        of_mesh = reference if first.is_mesh and reference.is_oriented else None
+        normals, are_oriented = outer_normals(points, _cell(points, spacing), eye, of_mesh)
     else:
         normals = pose.rotate(normals)
     reach = _REACH_TOLERANCES * found.tolerance
     if limit is not None:
         reach = max(reach, _REACH_TOLERANCE * limit)
-    deviations = _deviations(first, one, points, normals, reach, are_oriented=are_oriented)
+    if first.triangles is not None:
+        deviations = from_mesh(points, normals, first.points, first.triangles, reach)
+    else:
+        samples = reference.on_surface()
+        spread = local_noise(one.points, samples.points)
+        deviations = from_samples(points, normals, samples, spread, reach, are_oriented=are_oriented)
     noise = _noise(second, points, scale)
     extra = None if second.effects is None else _calibration(second, found)
     cells, of_cell = _cells(found, points, normals, deviations, noise, extra, _cell(points, spacing))
@@ -108,7 +121,8 @@ def measure_deviations(
     )
     sigma = cells.inflation * np.sqrt(noise**2 + shared**2)
     regions = tuple(find_regions(cells))
-    return PointDeviations(found, points, normals, deviations.distance, sigma, cells, of_cell, regions, reach)
+    known = are_oriented or reference.is_oriented
+    return PointDeviations(found, points, normals, deviations.distance, sigma, cells, of_cell, regions, reach, known)
 
 
 def box_diagonal(points: Floats) -> float:
@@ -127,15 +141,19 @@ def _noise(second: ComparedSurface, points: Floats, scale: float) -> Floats:
     return np.zeros(len(points)) if second.is_mesh else local_noise(points, points)
 
 
-def _deviations(
-    first: ComparedSurface, one: SurfacePoints, points: Floats, normals: Floats, reach: float, *, are_oriented: bool
-) -> Deviations:
-    if first.triangles is not None:
-        return from_mesh(points, normals, first.points, first.triangles, reach)
+def _normals_of_mesh(sampled: SurfacePoints) -> Floats | None:
+    """Of its samples, if its faces are all on one side."""
+    some = (evenly_spread(each, _OF_SIGNS) for each in (sampled.points, sampled.normals) if each is not None)
+    return None if are_opposed(*some) else sampled.normals
+
+
+def _reference(one: SurfacePoints) -> SampledSurface:
+    """Samples of the first surface, with normals on the outer side if it is known."""
     cell = max(box_diagonal(one.points) / _CELLS, _REFERENCE_SPACINGS * spacing_of(one.points))
-    samples = sample_surface(one.points, one.normals, cell, one.noise).on_surface()
-    noise = local_noise(one.points, samples.points)
-    return from_samples(points, normals, samples, noise, reach, are_oriented=are_oriented)
+    samples = sample_surface(one.points, one.normals, cell, one.noise)
+    if samples.is_oriented or one.eye is None:
+        return samples
+    return replace(samples, normals=towards(samples.normals, samples.points, one.eye), is_oriented=True)
 
 
 def _calibration(second: ComparedSurface, found: SurfaceRegistration) -> tuple[Floats, Floats] | None:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from calib.registration import (
     register_surfaces,
     solve_pose_graph,
 )
+from scanner.comparing.outer_sides import register_either_side, turned_note
 from scanner.comparing.surfaces import NO_UNIT, ComparedSurface, read_compared
 from scanner.errors import InputError
 from scanner.io import write_scalar_ply
@@ -94,13 +95,17 @@ def register_clouds(paths: Sequence[Path], track: Track) -> RegisteredClouds:
     numbers = list(combinations(range(len(clouds)), 2))
     pairs = []
     for first, second in track(numbers, len(numbers), "Registering"):
+        known = clouds[first].knows_outside, clouds[second].knows_outside
         try:
-            found = register_surfaces(sampled[first], sampled[second])
+            found, turned = register_either_side(sampled[first], sampled[second], register_surfaces, known)
         except ValueError as error:
             raise InputError(f"{paths[first]} and {paths[second]} cannot be registered: {error}") from error
         except ImportError as error:
             raise InputError(str(error)) from error
         pairs.append(RegisteredPair(first, second, found))
+        if turned is not None:
+            names = clouds[first].name, clouds[second].name
+            notes.append(turned_note(*(names if turned == 0 else names[::-1])))
     middles = [np.median(each.points, axis=0) for each in sampled]
     graph = _graph(pairs, middles, len(clouds))
     return RegisteredClouds(
@@ -136,7 +141,7 @@ def _units(clouds: Sequence[ComparedSurface], notes: list[str]) -> tuple[str, li
 def _scaled(surface: SurfacePoints, scale: float) -> SurfacePoints:
     noise = None if surface.noise is None else scale * surface.noise
     eye = None if surface.eye is None else scale * surface.eye
-    return SurfacePoints(scale * surface.points, surface.normals, noise, eye)
+    return replace(surface, points=scale * surface.points, noise=noise, eye=eye)
 
 
 def _graph(pairs: Sequence[RegisteredPair], middles: Sequence[Floats], count: int) -> PoseGraph:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from calib.registration import (
     register_surfaces,
     sample_surface,
 )
+from scanner.comparing.outer_sides import register_either_side, turned_note
 from scanner.comparing.point_deviations import PointDeviations, box_diagonal, measure_deviations
 from scanner.comparing.surfaces import NO_UNIT, ComparedSurface, read_compared
 from scanner.errors import InputError
@@ -126,25 +128,33 @@ def compare_surfaces(
         _tolerance(tolerance, stated or second.unit or NO_UNIT)  # what is none in any unit, before what takes seconds
     scales = _scales(first, second, stated, scale_free=scale_free)
     with_scale = scale_free or UNKNOWN_UNIT in (second.unit, first.unit)
-    one, other = first.sampled, second.sampled
+    register = partial(register_surfaces, scales=[scale for scale, _ in scales], with_scale=with_scale)
+    known = first.knows_outside, second.knows_outside
     try:
-        found = register_surfaces(one, other, [scale for scale, _ in scales], with_scale=with_scale)
+        found, turned = register_either_side(
+            first.sampled, second.sampled, register, known, is_only_mesh=first.is_mesh and not second.is_mesh
+        )
     except ValueError as error:
         raise InputError(f"{result} and {reference} cannot be aligned: {error}") from error
     except ImportError as error:
         raise InputError(str(error)) from error
     working, sentence = _unit_of(found, scales, stated, first, second, with_scale=with_scale)
     limit = None if tolerance is None else _tolerance(tolerance, working)
-    notes = (*second.notes, *first.notes)
+    notes = [*second.notes, *first.notes]
+    if turned is not None:
+        notes.append(turned_note(*((first.name, second.name) if turned == 0 else (second.name, first.name))))
+        first, second = (first.turned, second) if turned == 0 else (first, second.turned)
     names = (second.name, first.name)
-    unaligned = SurfaceComparison(names, working, sentence, found, None, first, None, None, False, notes)
+    unaligned = SurfaceComparison(names, working, sentence, found, None, first, None, None, False, tuple(notes))
     if found.alignment is not Alignment.UNIQUE:
         return unaligned
-    measured = measure_deviations(first, one, second, other, found, limit)
+    measured = measure_deviations(first, first.sampled, second, second.sampled, found, limit)
+    if turned is not None and not any(known):
+        measured = replace(measured, knows_outside=False)
     return replace(
         unaligned,
         measured=measured,
-        changes=_changes(first, one, second, measured),
+        changes=_changes(first, first.sampled, second, measured),
         test=None if limit is None else _test(measured.cells, limit, float(np.mean(~measured.there))),
         knows_calibration=second.effects is not None,
     )

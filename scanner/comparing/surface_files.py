@@ -165,8 +165,9 @@ def _views(measured: PointDeviations, largest: float) -> list[_Picture]:
     up = np.array([0.0, 0.0, 1.0]) if abs(facing[2]) < 0.9 * np.linalg.norm(facing) else np.array([0.0, 1.0, 0.0])
     forward = -facing if np.linalg.norm(facing) > 0.2 else np.array([0.0, 1.0, 0.0])
     pictures = []
+    points = measured.points - np.median(measured.points, axis=0)  # in single precision
     for name, view in standard_views(forward, up).items():
-        rgba = splatted_view(measured.points, measured.normals, colours, view, _VIEW)
+        rgba = splatted_view(points, measured.normals, colours, view, _VIEW)
         caption = {"oblique": "Obliquely", "top": "From above", "front": "From the front"}[name]
         alt = f"Deviations as colours, {caption.lower()}"
         pictures.append(_Picture(png_uri(rgba), rgba.shape[1], rgba.shape[0], alt, caption))
@@ -229,6 +230,7 @@ def _document(comparison: SurfaceComparison) -> dict[str, Any]:
         if len(distance)
         else {},
         "rms": float(f"{np.sqrt(np.mean(distance**2)):.6g}") if len(distance) else None,
+        "signs_known": comparison.measured is not None and comparison.measured.knows_outside,
         "calibration_in_sigmas": comparison.knows_calibration,
         "tolerance": None
         if test is None
@@ -292,4 +294,5 @@ def _sigmas(covariance: Floats) -> dict[str, Any]:
 
 
 def _numbers(values: Floats) -> list[float]:
-    return [float(f"{value:.9g}") for value in values]
+    """Of places and poses in any coordinates: at millions of metres, to a hundredth of a millimetre."""
+    return [float(f"{value:.12g}") for value in values]

@@ -45,6 +45,8 @@ def surface_verdict(comparison: SurfaceComparison) -> Verdict:
 def _verdict_of_surface(comparison: SurfaceComparison) -> Verdict:
     reasons, unit = tuple(_reasons(comparison)), shown_unit(comparison.unit)
     test = comparison.test
+    if not len(comparison.compared):
+        return Verdict("refused", "No point has a counterpart in the reference, so nothing is compared.", reasons)
     if test is None:
         if comparison.regions:
             count = len(comparison.regions)
@@ -135,6 +137,8 @@ def _reasons(comparison: SurfaceComparison) -> Iterator[str]:
         yield (
             f"Deviations scatter {inflation:.1f} times as much as the noise explains, so sigmas were enlarged to that."
         )
+    if comparison.measured is not None and not comparison.measured.knows_outside:
+        yield "Neither says for certain which side is outside: the signs of all deviations may be the reverse."
     if not comparison.knows_calibration:
         yield f"What the calibration of {comparison.names[0]} adds is not in the sigmas: it is not known."
 

@@ -1,6 +1,7 @@
 """The surfaces that are compared: results, clouds and meshes, with what is known of their errors."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -11,11 +12,11 @@ from calib.diagnostics import SystematicErrors
 from calib.geometry import Pose
 from calib.numerics import Bools, Floats, Ints, evenly_spread, in_slices
 from calib.pointcloud import point_covariances
-from calib.registration import SurfacePoints, is_closed, sample_mesh
+from calib.registration import SurfacePoints, are_opposed, enclosed_volume, is_closed, sample_mesh
 from scanner.cleaning import CleanedResult, read_cleaned
 from scanner.errors import InputError
 from scanner.exporting import mesh_in_axes
-from scanner.io import read_surface
+from scanner.io import StoredSurface, read_surface
 from scanner.measuring import rig_errors
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.results import CALIBRATION_FILE, FinishedScan, read_calibration_of, read_uncertainty
@@ -24,6 +25,9 @@ NO_UNIT = "units"  # where no file says which
 _OF_MESH = 200_000  # points
 _EFFECTS = 1500  # points at which the calibration's errors are known
 _AT_ONCE = 100_000
+_SOME = 0.01  # share of repeated points, above which they are told
+_FEWEST = 24  # points of a surface
+_OF_SIGNS = 100_000  # points whose normals tell whether their signs mean anything
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +71,29 @@ class ComparedSurface:
         return self.unit not in (None, UNKNOWN_UNIT)
 
     @cached_property
+    def is_closed(self) -> bool:
+        """Whether it is a mesh of all of a body's surface."""
+        return self.triangles is not None and is_closed(self.points, self.triangles)
+
+    @property
+    def knows_outside(self) -> bool:
+        """Whether its normals are surely on the outer side: of a scan from a known place, or around a volume."""
+        return self.is_closed or self.eye is not None or len(self.views) > 0
+
+    @property
+    def turned(self) -> "ComparedSurface":
+        """With its normals, or its faces, on the other side."""
+        triangles = None if self.triangles is None else self.triangles[:, ::-1]
+        return replace(self, normals=None if self.normals is None else -self.normals, triangles=triangles)
+
+    @cached_property
     def sampled(self) -> SurfacePoints:
         """For the registration."""
         if self.triangles is not None:
             points, normals = sample_mesh(self.points, self.triangles, _OF_MESH)
-            return SurfacePoints(points, normals, 0.0, is_closed=is_closed(self.points, self.triangles))
+            if self.is_closed and enclosed_volume(self.points, self.triangles) < 0:
+                normals = -normals
+            return SurfacePoints(points, normals, 0.0, is_closed=self.is_closed)
         noise = None if self.noise is None else float(np.median(self.noise))
         return SurfacePoints(self.points, self.normals, noise, self.eye)
 
@@ -81,16 +103,18 @@ def read_compared(path: Path, capture: int | None = None) -> ComparedSurface:
     if path.is_dir():
         return _of_result(path, read_cleaned(path, capture))
     stored = read_surface(path)
-    notes = []
-    if stored.dropped:
-        notes.append(f"{path}: {stored.dropped:,} points were left out because their coordinates are no numbers.")
-    if stored.thinned_from:
-        notes.append(f"{path}: {len(stored.points):,} of its {stored.thinned_from:,} points were used, evenly spread.")
+    if stored.triangles is None and len(stored.points) < _FEWEST:
+        found = f"found {len(stored.points)} at different places: too few to be aligned"
+        raise InputError(f"{path}: expected a surface, of {_FEWEST} points or more, {found}")
     views = () if stored.eye is None else ((stored.eye, stored.points),)
+    normals, notes = stored.normals, [*_notes(path, stored)]
+    if normals is not None and are_opposed(*(evenly_spread(each, _OF_SIGNS) for each in (stored.points, normals))):
+        normals = None
+        notes.append(f"{path}: its normals are on both sides of the surface, and were not used.")
     return ComparedSurface(
         str(path),
         stored.points,
-        stored.normals,
+        normals,
         stored.triangles,
         stored.unit,
         stored.eye,
@@ -99,6 +123,20 @@ def read_compared(path: Path, capture: int | None = None) -> ComparedSurface:
         views,
         tuple(notes),
     )
+
+
+def _notes(path: Path, stored: StoredSurface) -> Iterator[str]:
+    """What of a file was not used, and why."""
+    if stored.thinned_from:
+        yield f"{path}: {len(stored.points):,} of its {stored.thinned_from:,} points were used, evenly spread."
+    left_out = [
+        (stored.dropped, "coordinates that are no numbers"),
+        (stored.at_origin, "exactly at (0, 0, 0), where programs put what was not measured"),
+        (stored.stray, "too far away from all others"),
+    ]
+    if stored.repeated > _SOME * len(stored.points):
+        left_out.append((stored.repeated, "others are at exactly the same place"))
+    yield from (f"{path}: {count:,} of its points left out: {why}." for count, why in left_out if count)
 
 
 def _of_result(path: Path, result: CleanedResult) -> ComparedSurface:

@@ -7,7 +7,7 @@ colours are the camera's, lit by the projector, so materials are unlit and show 
 import json
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh, linear_light
+from scanner.io import is_far
 
 # Numbers of the glTF 2.0 specification.
 _MAGIC, _VERSION = 0x46546C67, 2
@@ -38,8 +39,12 @@ class Piece:
 
 
 def write_glb(path: Path, mesh: Mesh, metres_per_unit: float) -> None:
-    """Write positions in metres, normals, colours and triangles. Raises OSError."""
-    write_pieces(path, [Piece(mesh)], metres_per_unit)
+    """Write positions in metres, normals, colours and triangles. Raises OSError.
+
+    Positions far from the origin, as in the coordinates of a survey, are relative to the node's translation.
+    """
+    middle = np.median(mesh.points, axis=0) if is_far(mesh.points) else np.zeros(3)
+    _write(path, [Piece(replace(mesh, points=mesh.points - middle))], metres_per_unit, (), middle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +67,12 @@ def write_pieces(
     path: Path, pieces: Sequence[Piece], metres_per_unit: float, cameras: Sequence[GlbCamera] = ()
 ) -> None:
     """The same of a mesh in pieces, with their pictures in the file, and with cameras. Raises OSError."""
+    _write(path, pieces, metres_per_unit, cameras, np.zeros(3))
+
+
+def _write(
+    path: Path, pieces: Sequence[Piece], metres_per_unit: float, cameras: Sequence[GlbCamera], middle: Floats
+) -> None:
     binary = _Binary()
     primitives: list[dict[str, object]] = []
     materials: list[dict[str, object]] = []
@@ -75,13 +86,14 @@ def write_pieces(
         materials.append(
             {"doubleSided": True, "pbrMetallicRoughness": surface, "extensions": {"KHR_materials_unlit": {}}}
         )
+    moved = metres_per_unit * Y_UP_FROM_CAMERA * middle
     document: dict[str, object] = {
         "asset": {"version": "2.0", "generator": "roomscan"},
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
         "scenes": [{"nodes": list(range(1 + len(cameras)))}],
         "nodes": [
-            {"name": "scan", "mesh": 0},
+            {"name": "scan", "mesh": 0} | ({"translation": moved.tolist()} if middle.any() else {}),
             *(_camera_node(camera, number, metres_per_unit) for number, camera in enumerate(cameras)),
         ],
         "meshes": [{"name": "scan", "primitives": primitives}],

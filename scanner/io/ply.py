@@ -42,6 +42,7 @@ _TYPES = {
     **dict.fromkeys(("double", "float64"), "<f8"),
 }
 _TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+_FAR = 100.0  # extents from the origin, at which single precision is 6e-6 of the extent
 _PIECE = 1 << 15  # points per write, within the processor's cache
 _COUNTED = 1 << 18  # points counted at a time
 _LONGEST_HEADER = 1 << 16
@@ -150,9 +151,10 @@ def write_scalar_ply(
 ) -> None:
     """Points, normals and colours (N, 3) with numbers (N,) by name, which CloudCompare shows as scalar fields.
 
-    Raises OSError.
+    Points far from the origin, as in the coordinates of a survey, are in double precision. Raises OSError.
     """
-    columns = [*_COLUMNS, *(_Column(name, "float", (name,)) for name in scalars)]
+    given = [_COLUMNS[0]._replace(kind="double"), *_COLUMNS[1:]] if is_far(points) else [*_COLUMNS]
+    columns = [*given, *(_Column(name, "float", (name,)) for name in scalars)]
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -170,6 +172,13 @@ def write_scalar_ply(
             for name, values in scalars.items():
                 vertices[name] = values[piece, None]
             file.write(vertices.tobytes())
+
+
+def is_far(points: Floats) -> bool:
+    """Whether single precision would show in points (N, 3): they are much farther from the origin than apart."""
+    if not len(points):
+        return False
+    return bool(np.abs(points).max() > _FAR * np.ptp(points, axis=0).max())
 
 
 @compiled

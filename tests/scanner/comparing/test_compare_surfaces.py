@@ -145,7 +145,7 @@ def test_a_result_is_compared_with_its_own_mesh(tmp_path: Path, capsys: pytest.C
         (("sound.ply", "cad.stl", "--unit", "ell"), "--unit: expected one of"),
         (("sound.ply", "cad.stl", "--depths", "1m"), "--depths is for calibrations"),
         (("sound.ply", "none.stl"), "no such file"),
-        (("few.xyz", "cad.stl"), "cannot be aligned"),
+        (("few.xyz", "cad.stl"), "few.xyz: expected a surface, of 24 points or more, found 4"),
         (("sound.ply", "part.iges"), "export it from the CAD program"),
         (("sound.ply", "cad.stl", "--unit", "m", "--tolerance", "x"), "--tolerance: expected a length"),
     ],

@@ -74,7 +74,7 @@ def test_clouds_of_different_things_are_not_joined(folder: Path, capsys: pytest.
     [
         (("0.ply",), "expected two clouds or more"),
         (("0.ply", "none.ply"), "no such file"),
-        (("0.ply", "few.xyz"), "cannot be registered"),
+        (("0.ply", "few.xyz"), "few.xyz: expected a surface, of 24 points or more, found 4"),
         (("0.ply", "text.docx"), "expected a cloud or a mesh"),
     ],
 )
