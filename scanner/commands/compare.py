@@ -121,7 +121,8 @@ def _write(args: CompareCommand, comparison: SurfaceComparison, terminal: Termin
             write(path)
     terminal.show(
         f"Written: {args.out} ({', '.join(writers)})",
-        f"→ Open {args.out / COMPARE_PAGE} in a browser: where the surface deviates.",
+        f"→ Open {args.out / COMPARE_PAGE} in a browser: "
+        + ("where the surface deviates." if comparison.is_aligned else "what is known of the alignment."),
     )
 
 

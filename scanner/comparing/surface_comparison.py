@@ -1,5 +1,6 @@
 """A result on a reference: aligned without a first guess, then the signed deviation of each point with its sigma."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
@@ -128,12 +129,8 @@ def compare_surfaces(
         _tolerance(tolerance, stated or second.unit or NO_UNIT)  # what is none in any unit, before what takes seconds
     scales = _scales(first, second, stated, scale_free=scale_free)
     with_scale = scale_free or UNKNOWN_UNIT in (second.unit, first.unit)
-    register = partial(register_surfaces, scales=[scale for scale, _ in scales], with_scale=with_scale)
-    known = first.knows_outside, second.knows_outside
     try:
-        found, turned = register_either_side(
-            first.sampled, second.sampled, register, known, is_only_mesh=first.is_mesh and not second.is_mesh
-        )
+        found, turned = _registered(first, second, [scale for scale, _ in scales], with_scale=with_scale)
     except ValueError as error:
         raise InputError(f"{result} and {reference} cannot be aligned: {error}") from error
     except ImportError as error:
@@ -149,7 +146,7 @@ def compare_surfaces(
     if found.alignment is not Alignment.UNIQUE:
         return unaligned
     measured = measure_deviations(first, first.sampled, second, second.sampled, found, limit)
-    if turned is not None and not any(known):
+    if turned is not None and not (first.knows_outside or second.knows_outside):
         measured = replace(measured, knows_outside=False)
     return replace(
         unaligned,
@@ -158,6 +155,26 @@ def compare_surfaces(
         test=None if limit is None else _test(measured.cells, limit, float(np.mean(~measured.there))),
         knows_calibration=second.effects is not None,
     )
+
+
+def _registered(
+    first: ComparedSurface, second: ComparedSurface, scales: Sequence[float], *, with_scale: bool
+) -> tuple[SurfaceRegistration, int | None]:
+    """The registration, and which of the surfaces had to be turned round for it.
+
+    Files that do not state their units have the same one more often than not: where this gives one pose, no others
+    are tried, at which a smaller surface would slide on a larger one.
+    """
+    known = first.knows_outside, second.knows_outside
+    same = [scale for scale in scales if second.unit is None and not with_scale and scale == 1.0]
+    for some in [same, scales] if same and len(scales) > 1 else [scales]:
+        register = partial(register_surfaces, scales=some, with_scale=with_scale)
+        found, turned = register_either_side(
+            first.sampled, second.sampled, register, known, is_only_mesh=first.is_mesh and not second.is_mesh
+        )
+        if found.alignment is Alignment.UNIQUE:
+            break
+    return found, turned
 
 
 def _tolerance(text: str, unit: str) -> float:
@@ -207,17 +224,21 @@ def _unit_of(
     with_scale: bool,
 ) -> tuple[str, str | None]:
     """The unit of the reference, and what was found out about it."""
-    if stated is not None and stated != UNKNOWN_UNIT:
-        if with_scale and found.best is not None:
-            return stated, f"{second.name} was enlarged {found.best.scale:.6g} times, as fits best."
-        return stated, None
+    is_stated = stated is not None and stated != UNKNOWN_UNIT
     if found.best is None:
-        return NO_UNIT, None
-    nearest = min(scales, key=lambda each: abs(np.log(each[0] / found.best.scale)))  # type: ignore[union-attr]
+        return str(stated) if is_stated else NO_UNIT, None
+    scale = found.best.scale
+    enlarged = f"{second.name} was enlarged {scale:.6g} times, as fits best."
     if with_scale:
-        return NO_UNIT, f"{second.name} was enlarged {found.best.scale:.6g} times, as fits best."
+        return str(stated) if is_stated else NO_UNIT, enlarged
+    if is_stated:
+        own = min(METRES, key=lambda unit: abs(np.log(METRES[unit] / METRES[str(stated)] / scale)))
+        is_other = second.unit is None and own != stated
+        told = f"{second.name} does not state its unit: taken as '{own}', as fits best."
+        return str(stated), told if is_other else None
+    nearest = min(scales, key=lambda each: abs(np.log(each[0] / scale)))
     if nearest[1] is None:
-        return str(second.unit or NO_UNIT), None
+        return str(second.unit or NO_UNIT), None if second.has_length or np.isclose(scale, 1.0) else enlarged
     return nearest[1], f"{first.name} does not state its unit: in {unit_name(nearest[1])} it fits."
 
 

@@ -16,7 +16,7 @@ from calib.registration import SurfacePoints, are_opposed, enclosed_volume, is_c
 from scanner.cleaning import CleanedResult, read_cleaned
 from scanner.errors import InputError
 from scanner.exporting import mesh_in_axes
-from scanner.io import StoredSurface, read_surface
+from scanner.io import StoredSurface, is_far, read_surface
 from scanner.measuring import rig_errors
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.results import CALIBRATION_FILE, FinishedScan, read_calibration_of, read_uncertainty
@@ -129,6 +129,12 @@ def _notes(path: Path, stored: StoredSurface) -> Iterator[str]:
     """What of a file was not used, and why."""
     if stored.thinned_from:
         yield f"{path}: {len(stored.points):,} of its {stored.thinned_from:,} points were used, evenly spread."
+    if is_far(stored.points) and np.array_equal(stored.points, stored.points.astype(np.float32)):
+        step = float(np.spacing(np.float32(np.abs(stored.points).max())))
+        yield (
+            f"{path}: its coordinates are in single precision, so far from the origin in steps of {step:.2g}: subtract "
+            "an offset where it is made."
+        )
     left_out = [
         (stored.dropped, "coordinates that are no numbers"),
         (stored.at_origin, "exactly at (0, 0, 0), where programs put what was not measured"),

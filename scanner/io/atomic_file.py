@@ -117,6 +117,8 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
 
     Raises StorageError if they cannot be settled.
     """
+    if path.parent.exists() and not path.parent.is_dir():
+        raise InputError(f"{path.parent}: is a file, expected a folder to write into: choose another --out")
     _settle(path.parent)
     if path.is_dir():
         raise InputError(f"{path}: is a folder, expected the name of a file to write")

@@ -1,6 +1,7 @@
 """`scan compare` with clouds and meshes: aligned without a first guess, with deviations and their sigmas."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.deferred_imports import open3d
+from calib.registration import Alignment, SurfaceRegistration
 from scanner.commands import compare
 from scanner.comparing import Conformity, SurfaceComparison, compare_surfaces
 from scanner.exporting import FORMATS, ExportRequest
@@ -115,6 +117,40 @@ def test_the_unit_of_a_mesh_is_found(folder: Path) -> None:
     assert comparison.test.conformity is Conformity.PASS
 
 
+@pytest.mark.parametrize(
+    ("unit", "factor", "told"),
+    [
+        ("mm", 1 / 25.4, "does not state its unit: taken as 'in', as fits best."),
+        (None, 1e-3, "was enlarged 1000 times, as fits best."),
+    ],
+)
+def test_other_units_of_both_files_are_told(unit: str | None, factor: float, told: str, folder: Path) -> None:
+    points, normals = Blob().cloud(20_000, 5, (0, 1, 0.4))
+    write_cloud(folder / "other.ply", points, normals, factor)
+    comparison = compare_surfaces(folder / "other.ply", folder / "cad.stl", unit=unit)
+    assert comparison.is_aligned
+    assert comparison.registration.best is not None
+    assert comparison.registration.best.scale == pytest.approx(1 / factor)
+    assert told in str(comparison.found_unit)
+
+
+def test_other_units_are_tried_only_where_the_same_one_gives_no_pose(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = list[list[float]]()
+
+    def register(*_: object, scales: Sequence[float], with_scale: bool) -> SurfaceRegistration:
+        assert not with_scale
+        tried.append([*scales])
+        return SurfaceRegistration(Alignment.LOOSE, None, (), (), np.zeros(3), np.eye(6), 0.0, 0.0)
+
+    monkeypatch.setattr("scanner.comparing.surface_comparison.register_surfaces", register)
+    compare_surfaces(folder / "sound.ply", folder / "cad.stl", unit="m")
+    assert tried[0] == [1.0]
+    assert {0.3048, 1.0} <= set(np.round(tried[1], 6))
+    assert len(tried) == 2
+
+
 def test_what_turns_is_not_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     body = Blob((45, 45, 25), 0.0)
     write_mesh(folder / "wheel.obj", body)
@@ -143,6 +179,7 @@ def test_a_result_is_compared_with_its_own_mesh(tmp_path: Path, capsys: pytest.C
     [
         (("sound.ply", "cad.stl", "--tolerance", "0.1mm"), "neither file states its unit"),
         (("sound.ply", "cad.stl", "--unit", "ell"), "--unit: expected one of"),
+        (("sound.ply", "cad.stl", "--out", "few.xyz"), "few.xyz: is a file, expected a folder to write into"),
         (("sound.ply", "cad.stl", "--depths", "1m"), "--depths is for calibrations"),
         (("sound.ply", "none.stl"), "no such file"),
         (("few.xyz", "cad.stl"), "few.xyz: expected a surface, of 24 points or more, found 4"),
