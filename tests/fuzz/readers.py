@@ -160,6 +160,36 @@ def cloud(folder: Path) -> Run:
     return guarded(read)
 
 
+def surfaces(folder: Path) -> Run:
+    """Clouds and meshes of other programs: text, PLY, PCD and OBJ."""
+    from scanner.io import read_surface
+    from tests.support.blob import Blob
+
+    points, normals = Blob().cloud(60, 0)
+    vertices, triangles = Blob().mesh(40)
+    rows = "".join("{:.4f} {:.4f} {:.4f} 1 2 3\n".format(*row) for row in points)
+    properties = "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
+    binary = np.hstack([points, normals]).astype("<f4").tobytes()
+    faces = "".join("f {}/1 {}/1 {}/1\n".format(*(1 + corners)) for corners in triangles)
+    seeds = {
+        "a.xyz": f"x;y;z;r;g;b\n{rows.replace(' ', ';').replace('.', ',')}".encode(),
+        "a.pts": f"60\n{rows}".encode(),
+        "a.ply": f"ply\nformat binary_little_endian 1.0\nelement vertex 60\n{properties}end_header\n".encode() + binary,
+        "b.ply": f"ply\nformat ascii 1.0\nelement vertex 60\n{properties}end_header\n{rows}".encode(),
+        "a.pcd": f"FIELDS x y z rgb\nCOUNT 1 1 1 3\nPOINTS 60\nDATA ascii\n{rows}".encode(),
+        "a.obj": "".join("v {:.4f} {:.4f} {:.4f}\n".format(*row) for row in vertices).encode() + faces.encode(),
+    }
+
+    def read(rng: Random) -> None:
+        name = sorted(seeds)[int(rng.integers(len(seeds)))]
+        seed, cut = seeds[name], int(rng.choice([0, 120]))
+        (folder / name).write_bytes(of_bytes(seed[:cut], rng) + seed[cut:] if cut else of_bytes(seed, rng))
+        found = read_surface(folder / name)
+        assert np.isfinite(found.points).all()
+
+    return guarded(read)
+
+
 def poses(folder: Path) -> Run:
     """`poses.yaml`."""
     from calib.diagnostics import PoseErrors

@@ -14,6 +14,7 @@ from tests.fuzz.mutations import Random
 _MADE_IN = (
     *(readers.capture, readers.configuration, readers.calibration, readers.matches, readers.cloud, readers.poses),
     *(
+        readers.surfaces,
         readers.room,
         readers.network,
         readers.steps,
