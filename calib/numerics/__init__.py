@@ -47,6 +47,7 @@ from calib.numerics.robust import (
     robust_covariance,
     robust_sigma,
     robust_sigmas,
+    shrunk_scatter,
 )
 from calib.numerics.sampling import (
     ENOUGH_PIXELS,

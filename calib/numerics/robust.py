@@ -20,6 +20,7 @@ MEDIAN_LENGTH = 1.1774
 # Tukey's constant for 95 % efficiency with normal errors.
 _TUKEY = 4.685
 _TINY = 1e-12  # a residual of zero
+_LEAST_LEFT = 0.01  # of a cluster's error that a fit leaves: below, hardly anything is known of it
 _SINGULAR = 1e-10  # of a normal matrix: where terms are nearly dependent, the solution of minimum norm is taken
 
 
@@ -201,6 +202,42 @@ def robust_covariance(jacobian: Floats, residual: Floats, cluster: Ints) -> Floa
     bread = np.linalg.inv(normal)
     covariance: Floats = occupied / (occupied - 1) * bread @ scatter @ bread / np.outer(size, size)
     return covariance
+
+
+def shrunk_scatter(jacobian: Floats, residual: Floats, cluster: Ints) -> Floats:
+    """Scatter (P, P) of the scores of a fit with Tukey's weights, whose errors may be alike within a cluster.
+
+    `jacobian` (N, P), `residual` (N,), `cluster` (N,) labels from 0. Sums over some tens of clusters err by tenths in
+    each of P (P + 1) / 2 entries, which makes directions of the inverse too sure. What all entries share, by how much
+    clusters scatter more than their points would alone, is known far better: the scatter is drawn towards the points'
+    own times that number, by as much as chance explains the difference (Ledoit and Wolf, "A well-conditioned estimator
+    for large-dimensional covariance matrices", 2004). A fit takes up a part of each cluster's error, by what the
+    cluster weighs in it, which is given back (Bell and McCaffrey 2002). With two clusters or fewer it is infinite.
+    """
+    size, slope = jacobian.shape[1], biweight_slope(residual)
+    normal = (slope[:, None] * jacobian).T @ jacobian
+    clusters = int(cluster.max()) + 1
+    if clusters <= 2 or not np.linalg.eigvalsh(normal)[0] > 0:
+        return np.full_like(normal, np.inf)
+    root = np.linalg.cholesky(normal)
+    rows = np.linalg.solve(root, jacobian.T)
+    scores = biweight(residual) * residual * rows
+    held = np.stack([np.bincount(cluster, slope * one * other) for one in rows for other in rows], axis=1)
+    values, axes = np.linalg.eigh(np.eye(size) - held.reshape(clusters, size, size))
+    sums = np.stack([np.bincount(cluster, score) for score in scores], axis=1)[:, :, None]
+    sums = axes @ (np.swapaxes(axes, 1, 2) @ sums / np.sqrt(np.maximum(values, _LEAST_LEFT))[:, :, None])
+    alone = scores @ scores.T
+    if not np.linalg.eigvalsh(alone)[0] > _TINY * np.trace(alone):  # no residuals, as of a surface with itself
+        return np.asarray(root @ alone @ root.T)
+    spread = np.linalg.cholesky(alone)
+    each = np.linalg.solve(spread, sums[:, :, 0].T) * np.sqrt(clusters)
+    found = each @ each.T / clusters
+    common = np.trace(found) / size * np.eye(size)
+    by_chance = (np.mean(np.sum(each**2, axis=0) ** 2) - np.sum(found**2)) / clusters
+    drawn = min(1.0, by_chance / max(float(np.sum((found - common) ** 2)), _TINY))
+    back = root @ spread
+    scatter: Floats = back @ (drawn * common + (1 - drawn) * found) @ back.T
+    return scatter
 
 
 def blocks(pixel: Ints, side_px: int) -> Ints:

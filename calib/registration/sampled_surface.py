@@ -29,6 +29,7 @@ _CREASE, _MOST_CREASES = (
     0.12,
     0.4,
 )  # radians of neighbouring normals; share of samples that have to be away from creases
+_BORDER = 0.4  # from a sample to its neighbours' middle, over their spread: 0.2 in a surface, 0.75 at a straight border
 _ORIENTED, _ORIENTATION_NEIGHBOURS = 4000, 12
 _FAR = 100.0  # extents from the origin, at which single precision is 6e-6 of the extent
 _FLAT = 1e-6  # thickness relative to the extent, below which points are on a plane, or a line
@@ -95,12 +96,13 @@ class SampledSurface:
         points, normals, count, spread = _means(self.points, self.normals, self.count, cell)
         return replace(self, points=points, normals=normals, count=count, spread=spread, cell=cell)
 
-    def on_surface(self) -> "SampledSurface":
+    def on_surface(self, *, with_borders: bool = True) -> "SampledSurface":
         """The samples away from creases, moved from the mean of their points onto the curved surface.
 
         The mean of points on z = ½ xᵀ K x is ½ tr(K S) off it, for their covariance S along the surface. Normals turn
         by −K x, so that the covariance of points and normals of neighbours has the trace −tr(K P), for their covariance
-        P.
+        P. Where all neighbours are on one side, the normal is that of a place beside the sample, and what lies beyond
+        the border would be compared with a tilted plane.
         """
         index = scipy.spatial.cKDTree(self.points).query(self.points, _NEIGHBOURS, workers=processors())[1]
         apart, turned = (
@@ -111,6 +113,8 @@ class SampledSurface:
         along = np.maximum(0.0, self.spread - self.noise**2 * (1 - 1 / np.maximum(self.count, 1)))
         off = -0.5 * bend * along / np.maximum(area, 1e-300)
         smooth = np.mean(np.sum(turned**2, axis=2), axis=1) < _CREASE**2
+        aside = self.points[index].mean(axis=1) - self.points
+        smooth &= with_borders | (np.sum(aside**2, axis=1) < _BORDER**2 * area)
         moved = replace(self, points=self.points - off[:, None] * self.normals)
         return moved.part(smooth) if np.mean(smooth) > _MOST_CREASES else moved
 

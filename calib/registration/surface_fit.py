@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Pose, cross
-from calib.numerics import Bools, Floats
-from calib.registration.sampled_surface import SampledSurface, pair_samples
+from calib.numerics import Bools, Floats, biweight_slope, shrunk_scatter
+from calib.registration.sampled_surface import SampledSurface, cell_numbers, pair_samples
 from calib.registration.surface_pair import MANY_SAMPLES, ScaledPair, SurfaceSide
 
 LIKE = float(np.cos(np.radians(40.0)))  # least cosine of normals of surfaces that coincide
@@ -55,6 +55,37 @@ class PairFit:
         length = np.linalg.norm(pairs.own + turned, axis=1, keepdims=True)[near]
         return cls(moved[near], pairs.normals[near], pairs.own[near] / length, turned[near] / length, pairs.along[near])
 
+    def covariance(self, centre: Floats, patch: float, *, with_scale: bool) -> Floats:
+        """Covariance of a rotation vector about a centre (3,), a shift, and the logarithm of the scale, (6, 6) or
+        (7, 7); errors may be alike across a `patch`. Infinite where nothing holds the pose.
+
+        If the pose changes, so do the pairs: residuals follow the true surface, not the normals' noise. So what holds
+        the pose is counted by both surfaces' normals, as in `free_motions`.
+        """
+        size, jacobian, one, other = self.jacobians(centre, with_scale=with_scale)
+        cluster = np.unique(cell_numbers(self.points, patch, np.zeros(3)), return_inverse=True)[1]
+        scatter = shrunk_scatter(jacobian, self.residual, cluster)
+        held = (biweight_slope(self.residual)[:, None] * one).T @ other
+        held += held.T
+        if not (np.isfinite(scatter).all() and np.linalg.eigvalsh(held)[0] > 0):
+            return np.full_like(held, np.inf)
+        unit = np.array([size] * 3 + [1.0] * 3 + [size] * with_scale)
+        bread = 2 * np.linalg.inv(held)
+        covariance: Floats = bread @ scatter @ bread / np.outer(unit, unit)
+        return covariance
+
+    def jacobians(self, centre: Floats, *, with_scale: bool) -> tuple[float, Floats, Floats, Floats]:
+        """The points' distance from a centre (3,), the unit of angles, and derivatives of the residuals by the motion
+        (N, 6) or (N, 7): with the normals of both surfaces together, and with those of either.
+        """
+        arms = self.points - centre
+        size = float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
+        one, other = (
+            position_jacobian(arms / size, 2 * normals, with_scale=with_scale)
+            for normals in (self.first_normals, self.second_normals)
+        )
+        return size, (one + other) / 2, one, other
+
     def stepped(self, place: Pose, factor: float, weight: Floats, *, with_scale: bool) -> tuple[Pose, float]:
         """The pose and the scale after a weighted Gauss–Newton step."""
         centre = self.points.mean(axis=0)
@@ -80,14 +111,9 @@ def position_jacobian(arms: Floats, normals: Floats, *, with_scale: bool) -> Flo
 
 def free_motions(fit: PairFit, centre: Floats, shift: Floats, *, with_scale: bool) -> tuple[FreeMotion, ...]:
     """Motions that the pairs do not hold, from the eigenvectors of their normal matrix."""
-    arms = fit.points - centre
-    size = float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
-    one, other = (
-        2 * position_jacobian(arms / size, normals, with_scale=with_scale)
-        for normals in (fit.first_normals, fit.second_normals)
-    )
-    held = (one.T @ other + other.T @ one) / (2 * len(arms))
-    noise = (one - other).T @ (one - other) / (4 * len(arms))
+    size, _, one, other = fit.jacobians(centre, with_scale=with_scale)
+    held = (one.T @ other + other.T @ one) / (2 * len(one))
+    noise = (one - other).T @ (one - other) / (4 * len(one))
     values, vectors = np.linalg.eigh(held)
     free = []
     for value, vector in zip(values, vectors.T, strict=True):

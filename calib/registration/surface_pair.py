@@ -246,6 +246,8 @@ def rescaled(sides: ScaledPair, factor: float) -> ScaledPair:
 
 
 def on_surface(sides: ScaledPair) -> ScaledPair:
-    """With samples that are on the surfaces."""
-    first, second = (replace(side, fine=side.fine.on_surface()) for side in (sides.first, sides.second))
+    """With samples that are on the surfaces, away from their borders."""
+    first, second = (
+        replace(side, fine=side.fine.on_surface(with_borders=False)) for side in (sides.first, sides.second)
+    )
     return replace(sides, first=first, second=second)

@@ -5,7 +5,7 @@ Every hypothesis is refined, and judged by both surfaces: samples that coincide 
 behind the other surface, facing the same way, contradict, because whoever saw the one looked through the other. A pose
 is answered only if nothing of weight contradicts it, if no other pose fits as well, and if every direction is held.
 
-The covariance is that of an M-estimator with clustered errors (`calib.numerics.robust_covariance`). How well directions
+The covariance is that of an M-estimator with clustered errors (`calib.numerics.shrunk_scatter`). How well directions
 are held is counted by the product of both surfaces' normals, whose noise is independent: that of one alone would hold a
 plane by its noise.
 """
@@ -17,8 +17,7 @@ from enum import Enum
 import numpy as np
 
 from calib.geometry import Pose
-from calib.numerics import Floats, biweight, robust_covariance, robust_sigma
-from calib.registration.sampled_surface import cell_numbers
+from calib.numerics import Floats, biweight, robust_sigma
 from calib.registration.surface_fit import (
     FreeMotion,
     PairFit,
@@ -205,9 +204,7 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool, check_mirrored: b
         alternatives = _mirrored_rivals(ordered[0], with_scale=with_scale)
     if alternatives:
         return replace(made, alignment=Alignment.AMBIGUOUS, alternatives=tuple(alternatives))
-    jacobian = position_jacobian(fit.points - centre, fit.normals, with_scale=with_scale)
-    cluster = np.unique(cell_numbers(fit.points, _PIECE * best.sides.coarse, np.zeros(3)), return_inverse=True)[1]
-    covariance = robust_covariance(jacobian, fit.residual, cluster)
+    covariance = fit.covariance(centre, _PIECE * best.sides.coarse, with_scale=with_scale)
     return replace(made, alignment=Alignment.UNIQUE, covariance=covariance)
 
 

@@ -8,6 +8,8 @@ from hypothesis.extra import numpy as arrays
 
 from calib.numerics import (
     Floats,
+    biweight,
+    biweight_slope,
     blocks,
     clustered_scatter,
     fit_huber,
@@ -18,6 +20,7 @@ from calib.numerics import (
     medians,
     quantile,
     robust_sigmas,
+    shrunk_scatter,
 )
 
 VALUES = arrays.arrays(np.float64, st.integers(1, 40), elements=st.floats(-1e6, 1e6))
@@ -94,6 +97,23 @@ def test_points_of_a_cluster_count_as_one() -> None:
     np.testing.assert_allclose(alone, scores.T @ scores)
     repeated = clustered_scatter(np.repeat(scores, 4, axis=0), np.repeat(np.arange(30), 4))
     np.testing.assert_allclose(repeated, 16 * alone)
+
+
+@pytest.mark.parametrize("common", [0.0, 0.2])
+def test_few_clusters_give_directions_their_true_sigma(common: float) -> None:
+    rng, errors = np.random.default_rng(4), []
+    cluster = np.repeat(np.arange(30), 40)
+    for _ in range(100):
+        middle = rng.standard_normal((30, 6))[cluster]
+        jacobian = middle + 0.5 * rng.standard_normal((len(cluster), 6))
+        observed = common * rng.standard_normal(30)[cluster] + rng.standard_normal(len(cluster))
+        estimate = fit_reweighted(jacobian.T, observed, biweight, np.ones(len(cluster)), 15)
+        residual = observed - jacobian @ estimate
+        bread = np.linalg.inv((biweight_slope(residual)[:, None] * jacobian).T @ jacobian)
+        covariance = bread @ shrunk_scatter(jacobian, residual, cluster) @ bread
+        errors.append(np.linalg.solve(np.linalg.cholesky(covariance), estimate))
+    assert 0.85 < np.sqrt(np.mean(np.square(errors))) < 1.15
+    assert np.isinf(shrunk_scatter(jacobian, residual, cluster % 2)).all()
 
 
 @given(

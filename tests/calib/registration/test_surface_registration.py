@@ -28,12 +28,12 @@ def moved(points: Floats, normals: Floats | None, pose: Pose) -> SurfacePoints:
     return SurfacePoints(pose @ points, None if normals is None else pose.rotate(normals))
 
 
-def whitened(found: SurfaceRegistration, truth: Pose) -> float:
-    """Root mean square of the six errors over their sigmas."""
+def whitened(found: SurfaceRegistration, truth: Pose) -> Floats:
+    """The six errors, independent and of unit variance if the covariance is right."""
     assert found.best is not None
     change = found.best.pose @ truth.inverse()
     step = np.append(rotation_vector(change.rotation), change @ found.centre - found.centre)
-    return float(np.sqrt(np.mean(np.linalg.solve(np.linalg.cholesky(found.covariance), step) ** 2)))
+    return np.linalg.solve(np.linalg.cholesky(found.covariance), step)
 
 
 @pytest.mark.parametrize(("seed", "with_normals"), [(0, True), (1, False)])
@@ -48,9 +48,19 @@ def test_overlapping_parts_are_registered_with_a_true_sigma(seed: int, with_norm
     assert found.best.share > 0.98
     off = np.linalg.norm(found.best.pose @ there.points - second[0], axis=1)
     assert 1e-6 < off.max() < 0.05
-    assert 0.2 < whitened(found, truth) < 2.5
     sigma = np.sqrt(found.position_covariance(np.array([[0.0, 0, 1]]), found.centre[None]))
     assert 1e-4 < sigma[0] < 0.01
+
+
+def test_sigmas_of_two_views_are_neither_too_small_nor_too_large() -> None:
+    errors = []
+    for seed in range(16):
+        aside = (np.cos(seed), np.sin(seed), 0.6)
+        first, second = BLOB.cloud(24_000, seed, (0, 0, 1)), BLOB.cloud(16_000, 100 + seed, aside)
+        truth = a_pose(seed)
+        there = moved(*second, truth.inverse())
+        errors.append(whitened(register_surfaces(SurfacePoints(*first), there, starts=truth[None]), truth))
+    assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.25
 
 
 def test_a_part_is_found_on_a_mesh_whatever_way_its_faces_are() -> None:
