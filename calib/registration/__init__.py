@@ -44,10 +44,8 @@ from calib.registration.projection import (
     Gates,
     Patches,
     RangeImage,
-    add_pair,
     classify,
     descend,
-    step_pose,
 )
 from calib.registration.range_view import StationView, sample_evenly, split_planes, station_view
 from calib.registration.register import (
@@ -67,7 +65,6 @@ from calib.registration.sampled_surface import (
     extent_of,
     is_closed,
     local_noise,
-    measured_noise,
     sample_mesh,
     sample_surface,
     spacing_of,

@@ -25,10 +25,7 @@ _MEDIAN_SQUARE = 0.870  # median of χ² over its five degrees of freedom
 _OF_BENT, _MEDIAN_SQUARE_BENT = 12, 0.891  # the same of curved surfaces, with six degrees of freedom
 _LEAST_NORMAL = 0.5  # length of a mean normal: shorter where two sides of something thin share a cell
 _MOST_OPPOSED = 0.05  # share of neighbours with opposed normals, beyond which the signs of given normals are not used
-_CREASE, _MOST_CREASES = (
-    0.12,
-    0.4,
-)  # radians of neighbouring normals; share of samples that have to be away from creases
+_CREASE, _MOST_CREASES = 0.12, 0.4  # radians of neighbouring normals; least share of samples away from creases
 _BORDER = 0.4  # from a sample to its neighbours' middle, over their spread: 0.2 in a surface, 0.75 at a straight border
 _ORIENTED, _ORIENTATION_NEIGHBOURS = 4000, 12
 _FAR = 100.0  # extents from the origin, at which single precision is 6e-6 of the extent

@@ -13,10 +13,7 @@ from calib.registration.surface_pair import MANY_SAMPLES, ScaledPair, SurfaceSid
 
 LIKE = float(np.cos(np.radians(40.0)))  # least cosine of normals of surfaces that coincide
 BESIDE = 1.5  # fine cells along the surface, beyond which there is no surface to compare with
-_HELD, _OVER_NOISE = (
-    1e-4,
-    0.3,
-)  # mean square of what holds a direction: at least, and relative to that of normals' noise
+_HELD, _OVER_NOISE = 1e-4, 0.3  # mean square of what holds a direction: at least, and over that of normals' noise
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from calib.registration.sampled_surface import SampledSurface
 from calib.registration.segments import Facets, grow_planes
 from calib.registration.starting_poses import distinct_poses, even_rotations, poses_by_planes
 
+Features = list[NDArray[np.float32]]
 _FEATURE_RADII, _FEATURE_NEIGHBOURS = (4.0, 8.0), 100  # cells
 _MATCHED, _MATCHES = 400, 3  # points of the second surface; matches of each
 _LEAST_APART, _OFF_APART = 6.0, 1.5  # cells: least distance of two points, largest difference of such distances
@@ -43,7 +44,8 @@ def surface_poses(first: SampledSurface, second: SampledSurface, signs: Sequence
 
     Both surfaces have the same cell, and their middles near the origin. Raises ImportError where Open3D is missing.
     """
-    field, features, reach = nearest_field(first), _features(first), 0.75 * (first.extent + second.extent)
+    field, reach = nearest_field(first), 0.75 * (first.extent + second.extent)
+    features, others = _features(first), _features(second)
     planes, (other_planes, areas) = _planes(first), _planes(second)
     found = []
     for sign in signs:
@@ -53,7 +55,9 @@ def surface_poses(first: SampledSurface, second: SampledSurface, signs: Sequence
         turns = even_rotations(_TURNS)
         middles = [surface.some(_MANY).patches.normal_centre(0.0) for surface in (first, turned)]
         starts = [
-            _most_promising(field, patches, _feature_poses(first, features, turned)),
+            _most_promising(
+                field, patches, _feature_poses(first, features, turned, others if sign > 0 else _flipped(others))
+            ),
             _most_promising(field, patches, by_planes),
             Pose(turns, middles[0] - turns @ middles[1]),
         ]
@@ -77,9 +81,9 @@ def _most_promising(field: NearestField, patches: SampledSurface, poses: Pose) -
     return poses[distinct_poses(poses, worth, _SAME_TURN, _SAME_CELLS * cell, _FOLLOWED)]
 
 
-def _feature_poses(first: SampledSurface, features: list[NDArray[np.float32]], second: SampledSurface) -> Pose:
+def _feature_poses(first: SampledSurface, features: Features, second: SampledSurface, others: Features) -> Pose:
     """Poses (K,) at which pairs of points with like features meet."""
-    own, other = _matches(features, _features(second))
+    own, other = _matches(features, others)
     here, there = first.part(own), second.part(other)
     pairs = np.empty((_MOST_POSES, 2), np.int32)
     a, b = pairs[: _congruent_pairs(here.patches, there.patches, first.cell, pairs)].T
@@ -136,7 +140,7 @@ def _frames(surface: SampledSurface, a: Ints, b: Ints) -> tuple[Floats, Bools]:
     return np.stack([along, across, cross(along, across)], axis=-1), length[:, 0] >= _LEAST_ACROSS
 
 
-def _matches(first: list[NDArray[np.float32]], second: list[NDArray[np.float32]]) -> tuple[Ints, Ints]:
+def _matches(first: Features, second: Features) -> tuple[Ints, Ints]:
     """Points with like features, (M,) of either surface, in random order."""
     rng = np.random.default_rng(0)
     own, other = [], []
@@ -153,7 +157,13 @@ def _matches(first: list[NDArray[np.float32]], second: list[NDArray[np.float32]]
     return np.concatenate(own)[order], np.concatenate(other)[order]
 
 
-def _features(surface: SampledSurface) -> list[NDArray[np.float32]]:
+def _flipped(features: Features) -> Features:
+    """Those of normals of the other sign: two of the three angles, 11 bins each, change theirs."""
+    angles = [each.reshape(-1, 3, 11) for each in features]
+    return [np.stack([a[:, 0, ::-1], a[:, 1], a[:, 2, ::-1]], axis=1).reshape(-1, 33) for a in angles]
+
+
+def _features(surface: SampledSurface) -> Features:
     """FPFH (N, 33) of the samples, for each radius."""
     o3d = open3d()
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(surface.points))
