@@ -27,6 +27,7 @@ _LEAST_NORMAL = 0.5  # length of a mean normal: shorter where two sides of somet
 _MOST_OPPOSED = 0.05  # share of neighbours with opposed normals, beyond which the signs of given normals are not used
 _CREASE, _MOST_CREASES = 0.12, 0.4  # radians of neighbouring normals; least share of samples away from creases
 _BORDER = 0.4  # from a sample to its neighbours' middle, over their spread: 0.2 in a surface, 0.75 at a straight border
+_LEAN = 0.1  # of a sample's noise: what the tilted normal of a border may add a cell beside it
 _ORIENTED, _ORIENTATION_NEIGHBOURS = 4000, 12
 _FAR = 100.0  # extents from the origin, at which single precision is 6e-6 of the extent
 _FLAT = 1e-6  # thickness relative to the extent, below which points are on a plane, or a line
@@ -110,8 +111,10 @@ class SampledSurface:
         along = np.maximum(0.0, self.spread - self.noise**2 * (1 - 1 / np.maximum(self.count, 1)))
         off = -0.5 * bend * along / np.maximum(area, 1e-300)
         smooth = np.mean(np.sum(turned**2, axis=2), axis=1) < _CREASE**2
-        aside = self.points[index].mean(axis=1) - self.points
-        smooth &= with_borders | (np.sum(aside**2, axis=1) < _BORDER**2 * area)
+        aside = np.linalg.norm(self.points[index].mean(axis=1) - self.points, axis=1)
+        lean = 0.5 * self.cell * aside * np.abs(bend) / np.maximum(area, 1e-300)
+        is_tilted = (aside > _BORDER * np.sqrt(area)) & (lean > _LEAN * self.noise / np.sqrt(self.count))
+        smooth &= with_borders | ~is_tilted
         moved = replace(self, points=self.points - off[:, None] * self.normals)
         return moved.part(smooth) if np.mean(smooth) > _MOST_CREASES else moved
 
