@@ -27,8 +27,8 @@ def test_bands_beyond_the_picture_give_no_fringes() -> None:
     # Outside the picture there is only steady room light.
     light = np.where(is_lit, (middle + AMPLITUDE * waves) * gains.at(rows), AMBIENT)
     divided = gains.within(LitRows(LIT_ROWS, HEIGHT)).divided
-    alike = np.stack([divided(k, frame[:, None], (rows, rows)) for k, frame in enumerate(light.astype(np.float32))])
-    cosine, sine = fringe.weights32 @ alike[..., 0]
+    alike = np.stack([divided(k, frame, rows) for k, frame in enumerate(light.astype(np.float32))])
+    cosine, sine = fringe.weights32 @ alike
     seen = np.hypot(cosine, sine) > 0
     assert np.array_equal(seen, is_lit)
     assert np.abs(np.hypot(cosine, sine)[seen] - AMPLITUDE).max() < 0.01
