@@ -194,36 +194,36 @@ def _together(
     return [each for each in found if each is not None]
 
 
-def _covariance(found: Sequence[PairResiduals], count: int, middle: Floats) -> tuple[Floats, Floats]:
+def _covariance(pairs: Sequence[PairResiduals], count: int, middle: Floats) -> tuple[Floats, Floats]:
     """And the information, about the middle: its shifts are known far better than those of the camera's centre."""
     turned = np.kron(np.eye(count), Pose(np.eye(3), -middle).adjoint)
-    matrix = add_up(PER_POSE * count, (pair.term for pair in found)).information
+    matrix = add_up(PER_POSE * count, (pair.term for pair in pairs)).information
     bread = np.zeros_like(matrix)
     free = matrix[6:, 6:]
     scale = np.sqrt(np.maximum(np.diag(free), 1e-30))
     bread[6:, 6:] = np.linalg.pinv(free / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
-    filling = _filling(found, count)
+    filling = _filling(pairs, count)
     back = np.linalg.inv(turned)
     return turned @ (bread @ filling @ bread) @ turned.T, back.T @ matrix @ back
 
 
-def _filling(found: Sequence[PairResiduals], count: int) -> Floats:
+def _filling(pairs: Sequence[PairResiduals], count: int) -> Floats:
     """Scatter (6 n, 6 n) of the gradient, summed over parts of pictures.
 
     A part's sum holds its own error once for each pair k that it is in, and those of k other parts once: of its square
     k of k + 1 are its own.
     """
     sums = np.zeros((count, PARTS, 6 * count))
-    pairs = np.zeros(count)
-    for each in found:
-        pulls = each.by_first * (each.weight * each.off)[:, None]
-        i, j = slice(6 * each.first, 6 * each.first + 6), slice(6 * each.second, 6 * each.second + 6)
-        for side, view in enumerate((each.first, each.second)):
+    of_view = np.zeros(count)
+    for pair in pairs:
+        pulls = pair.by_first * (pair.weight * pair.off)[:, None]
+        i, j = slice(6 * pair.first, 6 * pair.first + 6), slice(6 * pair.second, 6 * pair.second + 6)
+        for side, view in enumerate((pair.first, pair.second)):
             own = np.zeros((PARTS, 6))
-            np.add.at(own, each.parts[:, side], pulls)
+            np.add.at(own, pair.parts[:, side], pulls)
             sums[view, :, i] += own
             sums[view, :, j] -= own
-            pairs[view] += 1
-    share = pairs / (pairs + 1)
+            of_view[view] += 1
+    share = of_view / (of_view + 1)
     flat = (np.sqrt(share)[:, None, None] * sums).reshape(-1, 6 * count)
     return flat.T @ flat

@@ -103,7 +103,7 @@ def register_views(views: Sequence[ObjectView | None], near: Mapping[int, Pose] 
     """
     seen = {k: view for k, view in enumerate(views) if view is not None}
     edges = {(i, j): _between(seen, i, j, near or {}) for i, j in combinations(seen, 2)}
-    sure = {pair: found for pair, found in edges.items() if found}
+    sure = {pair: suggestions for pair, suggestions in edges.items() if suggestions}
     left_out = [
         UnregisteredStation(k, Finding(NOTHING_SEEN, Severity.WARNING, "it shows only the static background"))
         for k in range(len(views))
@@ -114,8 +114,8 @@ def register_views(views: Sequence[ObjectView | None], near: Mapping[int, Pose] 
     places, alternatives = _largest_group(seen, sure)
     if missing := [k for k in seen if k not in places]:
         for i, j in combinations(seen, 2):
-            if (i in missing or j in missing) and (found := _suggested(seen[i], seen[j], thorough=True)):
-                sure[i, j] = found
+            if (i in missing or j in missing) and (suggestions := _suggested(seen[i], seen[j], thorough=True)):
+                sure[i, j] = suggestions
         places, alternatives = _largest_group(seen, sure)
         missing = [k for k in seen if k not in places]
     left_out += [_unplaced(k, seen, sure) for k in missing]
@@ -208,23 +208,24 @@ def _worth_following(
     against.
     """
     roughly = [evidence(first, second, pose, NARROW * first.grain, _SOME) for pose in poses]
-    value = [_agreeing_share(each) if thorough else each.worth for each in roughly]
+    value = [_agreeing_share(overlap) if thorough else overlap.worth for overlap in roughly]
     rated = sorted(zip(value, range(len(poses)), strict=True), reverse=True)
-    found: list[Suggestion] = []
+    suggestions: list[Suggestion] = []
     for _, k in rated[:_SETTLED]:
-        if len(found) == _LOOKED_AT or any(are_about_the_same(poses[k], each.pose, first.grain) for each in found):
+        is_near = (are_about_the_same(poses[k], suggestion.pose, first.grain) for suggestion in suggestions)
+        if len(suggestions) == _LOOKED_AT or any(is_near):
             continue
         pose = align(first, second, poses[k], (1.0, NARROW, NARROW), _MORE)
         closely = evidence(first, second, pose, tolerance(first, second), _MORE)
         least_share = _SURE_SHARE if thorough else _LEAST_SHARE
         if closely.share > least_share and closely.agreeing > _LEAST_AGREEING * 2 * _MORE:
-            found.append(Suggestion(pose, closely.worth))
-    return sorted(found, key=lambda each: -each.worth)[:_KEPT]
+            suggestions.append(Suggestion(pose, closely.worth))
+    return sorted(suggestions, key=lambda suggestion: -suggestion.worth)[:_KEPT]
 
 
-def _agreeing_share(found: OverlapEvidence) -> float:
+def _agreeing_share(overlap: OverlapEvidence) -> float:
     """The share of what could agree that does, if that is not just a few patches."""
-    return found.share if found.agreeing > _FEWEST_AGREEING * 2 * _SOME else 0.0
+    return overlap.share if overlap.agreeing > _FEWEST_AGREEING * 2 * _SOME else 0.0
 
 
 def _tried(
@@ -236,7 +237,7 @@ def _tried(
     """Possible poses of a view relative to the members, best first. Empty if there are none."""
     possible: list[Suggestion] = []
     for _, pose in supposed_places(edges, places, k):
-        if any(are_about_the_same(pose, other.pose, views[k].grain) for other in possible):
+        if any(are_about_the_same(pose, suggestion.pose, views[k].grain) for suggestion in possible):
             continue
         judged = _judged(views, places, {k: pose})
         if judged.holds:
@@ -251,5 +252,6 @@ def _judged(views: Mapping[int, ObjectView], places: Mapping[int, Pose], part: M
         for member, place in places.items()
         for k, pose in part.items()
     ]
-    agreeing, against = sum(each.agreeing for each in evidences), sum(each.against for each in evidences)
-    return _Judgement(sum(each.worth for each in evidences), agreeing, agreeing + against)
+    agreeing = sum(overlap.agreeing for overlap in evidences)
+    against = sum(overlap.against for overlap in evidences)
+    return _Judgement(sum(overlap.worth for overlap in evidences), agreeing, agreeing + against)

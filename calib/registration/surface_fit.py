@@ -59,10 +59,10 @@ class PairFit:
         If the pose changes, so do the pairs: residuals follow the true surface, not the normals' noise. So what holds
         the pose is counted by both surfaces' normals, as in `free_motions`.
         """
-        size, jacobian, one, other = self.jacobians(centre, with_scale=with_scale)
+        size, jacobian, by_first, by_second = self.jacobians(centre, with_scale=with_scale)
         cluster = np.unique(cell_numbers(self.points, patch, np.zeros(3)), return_inverse=True)[1]
         scatter = shrunk_scatter(jacobian, self.residual, cluster)
-        held = (biweight_slope(self.residual)[:, None] * one).T @ other
+        held = (biweight_slope(self.residual)[:, None] * by_first).T @ by_second
         held += held.T
         if not (np.isfinite(scatter).all() and np.linalg.eigvalsh(held)[0] > 0):
             return np.full_like(held, np.inf)
@@ -77,11 +77,11 @@ class PairFit:
         """
         arms = self.points - centre
         size = float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
-        one, other = (
+        by_first, by_second = (
             position_jacobian(arms / size, 2 * normals, with_scale=with_scale)
             for normals in (self.first_normals, self.second_normals)
         )
-        return size, (one + other) / 2, one, other
+        return size, (by_first + by_second) / 2, by_first, by_second
 
     def stepped(self, place: Pose, factor: float, weight: Floats, *, with_scale: bool) -> tuple[Pose, float]:
         """The pose and the scale after a weighted Gauss–Newton step."""
@@ -108,9 +108,9 @@ def position_jacobian(arms: Floats, normals: Floats, *, with_scale: bool) -> Flo
 
 def free_motions(fit: PairFit, centre: Floats, shift: Floats, *, with_scale: bool) -> tuple[FreeMotion, ...]:
     """Motions that the pairs do not hold, from the eigenvectors of their normal matrix."""
-    size, _, one, other = fit.jacobians(centre, with_scale=with_scale)
-    held = (one.T @ other + other.T @ one) / (2 * len(one))
-    noise = (one - other).T @ (one - other) / (4 * len(one))
+    size, _, by_first, by_second = fit.jacobians(centre, with_scale=with_scale)
+    held = (by_first.T @ by_second + by_second.T @ by_first) / (2 * len(by_first))
+    noise = (by_first - by_second).T @ (by_first - by_second) / (4 * len(by_first))
     values, vectors = np.linalg.eigh(held)
     free = []
     for value, vector in zip(values, vectors.T, strict=True):
@@ -217,34 +217,34 @@ def needs_mirror_test(judged: SurfacePose) -> bool:
     return not judged.shows_more_than_bounds or bool(judged.contradicting / _CLUSTER > by_chance)
 
 
-def is_rival(one: SurfacePose, other: SurfacePose, *, is_all: bool = False) -> bool:
+def is_rival(rival: SurfacePose, best: SurfacePose, *, is_all: bool = False) -> bool:
     """Whether a pose explains about as much as another or more.
 
     `is_all`: the other one explains all of a scan by all of a body, which the right pose does. One that leaves a fifth
     of the scan where the body has no surface is then no rival; of two views it may be right, as they need not overlap.
     """
-    return one.agreeing > (_RIVAL_OF_ALL if is_all else _RIVAL_CELLS) * other.agreeing
+    return rival.agreeing > (_RIVAL_OF_ALL if is_all else _RIVAL_CELLS) * best.agreeing
 
 
-def surpasses(one: SurfacePose, other: SurfacePose) -> bool:
+def surpasses(pose: SurfacePose, rival: SurfacePose) -> bool:
     """Whether a pose rivals another that is clearly more contradicted; or, both being as little contradicted, explains
     more of what lies between the planes that bound the surfaces: those alone coincide in several ways.
     """
-    if not is_rival(one, other) or _is_less_contradicted(other, one):
+    if not is_rival(pose, rival) or _is_less_contradicted(rival, pose):
         return False
-    more = one.shows_more_than_bounds and other.inside < _RIVAL_CELLS * one.inside
-    return more or _is_less_contradicted(one, other)
+    more = pose.shows_more_than_bounds and rival.inside < _RIVAL_CELLS * pose.inside
+    return more or _is_less_contradicted(pose, rival)
 
 
-def _is_less_contradicted(one: SurfacePose, other: SurfacePose) -> bool:
+def _is_less_contradicted(pose: SurfacePose, rival: SurfacePose) -> bool:
     """Whether clearly less contradicts a pose than another, by more than chance."""
-    against, said = one.contradicting / _CLUSTER, (one.agreeing + one.contradicting) / _CLUSTER
-    expected = (against + _BY_CHANCE) * (other.agreeing + other.contradicting) / _CLUSTER / (said + _BY_CHANCE)
+    against, said = pose.contradicting / _CLUSTER, (pose.agreeing + pose.contradicting) / _CLUSTER
+    expected = (against + _BY_CHANCE) * (rival.agreeing + rival.contradicting) / _CLUSTER / (said + _BY_CHANCE)
     most = expected + _SURE * np.sqrt(expected) + 1.0
-    return bool(other.contradicting / _CLUSTER > most)
+    return bool(rival.contradicting / _CLUSTER > most)
 
 
-def are_apart(one: SurfacePose, other: SurfacePose, points: Floats, tolerance: float) -> bool:
+def are_apart(pose: SurfacePose, rival: SurfacePose, points: Floats, tolerance: float) -> bool:
     """Whether two poses put points (N, 3) of the second surface in different places."""
-    moved = one.pose @ (one.scale * points) - other.pose @ (other.scale * points)
+    moved = pose.pose @ (pose.scale * points) - rival.pose @ (rival.scale * points)
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))) > _SAME_TOLERANCES * tolerance

@@ -47,7 +47,7 @@ def surface_poses(first: SampledSurface, second: SampledSurface, signs: Sequence
     field, reach = nearest_field(first), 0.75 * (first.extent + second.extent)
     features, others = _features(first), _features(second)
     planes, (other_planes, areas) = _planes(first), _planes(second)
-    found = []
+    by_sign = []
     for sign in signs:
         turned = second if sign > 0 else second.flipped
         patches = turned.some(_MANY)
@@ -65,8 +65,8 @@ def surface_poses(first: SampledSurface, second: SampledSurface, signs: Sequence
         chosen = distinct_poses(wide, worth, _SAME_TURN, _SAME_CELLS * first.cell, _FOLLOWED)
         close, worth = descended(field, patches.patches, wide[chosen], first.cell * _CLOSE)
         chosen = distinct_poses(close, worth, _SAME_TURN, _SAME_CELLS * first.cell, _KEPT)
-        found.append(close[chosen])
-    return found
+        by_sign.append(close[chosen])
+    return by_sign
 
 
 def _most_promising(field: NearestField, patches: SampledSurface, poses: Pose) -> Pose:
@@ -83,8 +83,8 @@ def _most_promising(field: NearestField, patches: SampledSurface, poses: Pose) -
 
 def _feature_poses(first: SampledSurface, features: Features, second: SampledSurface, others: Features) -> Pose:
     """Poses (K,) at which pairs of points with like features meet."""
-    own, other = _matches(features, others)
-    here, there = first.part(own), second.part(other)
+    own, theirs = _matches(features, others)
+    here, there = first.part(own), second.part(theirs)
     pairs = np.empty((_MOST_POSES, 2), np.int32)
     a, b = pairs[: _congruent_pairs(here.patches, there.patches, first.cell, pairs)].T
     (to, is_wide), (of, is_also_wide) = (_frames(side, a, b) for side in (here, there))
@@ -114,11 +114,11 @@ def _congruent_pairs(here: Patches, there: Patches, cell: float, pairs: NDArray[
             for axis in range(3):
                 way = (here.points[b, axis] - here.points[a, axis]) / long
                 run = (there.points[b, axis] - there.points[a, axis]) / far
-                one, other = here.normals[a, axis], here.normals[b, axis]
+                normal, next_normal = here.normals[a, axis], here.normals[b, axis]
                 its, others = there.normals[a, axis], there.normals[b, axis]
-                between += one * other - its * others
-                along_one += way * one - run * its
-                along_other += way * other - run * others
+                between += normal * next_normal - its * others
+                along_one += way * normal - run * its
+                along_other += way * next_normal - run * others
             if max(np.abs(between), np.abs(along_one), np.abs(along_other)) <= _OFF_COSINE:
                 pairs[count, 0], pairs[count, 1] = a, b
                 count += 1
@@ -143,7 +143,7 @@ def _frames(surface: SampledSurface, a: Ints, b: Ints) -> tuple[Floats, Bools]:
 def _matches(first: Features, second: Features) -> tuple[Ints, Ints]:
     """Points with like features, (M,) of either surface, in random order."""
     rng = np.random.default_rng(0)
-    own, other = [], []
+    own, theirs = [], []
     for here, there in zip(first, second, strict=True):
         usual = there.mean(axis=0)
         rare = np.linalg.norm(there - usual, axis=1)
@@ -152,14 +152,14 @@ def _matches(first: Features, second: Features) -> tuple[Ints, Ints]:
         count = min(_MATCHES, len(here))
         nearest = np.argpartition(apart, count - 1, axis=1)[:, :count]
         own.append(nearest.ravel())
-        other.append(np.repeat(chosen, count))
+        theirs.append(np.repeat(chosen, count))
     order = rng.permutation(sum(map(len, own)))
-    return np.concatenate(own)[order], np.concatenate(other)[order]
+    return np.concatenate(own)[order], np.concatenate(theirs)[order]
 
 
 def _flipped(features: Features) -> Features:
     """Those of normals of the other sign: two of the three angles, 11 bins each, change theirs."""
-    angles = [each.reshape(-1, 3, 11) for each in features]
+    angles = [histograms.reshape(-1, 3, 11) for histograms in features]
     return [np.stack([a[:, 0, ::-1], a[:, 1], a[:, 2, ::-1]], axis=1).reshape(-1, 33) for a in angles]
 
 
@@ -171,8 +171,8 @@ def _features(surface: SampledSurface) -> Features:
     features = []
     for radius in _FEATURE_RADII:
         around = o3d.geometry.KDTreeSearchParamHybrid(radius * surface.cell, _FEATURE_NEIGHBOURS)
-        found: Any = o3d.pipelines.registration.compute_fpfh_feature(cloud, around)
-        features.append(np.ascontiguousarray(np.asarray(found.data).T, np.float32))
+        feature: Any = o3d.pipelines.registration.compute_fpfh_feature(cloud, around)
+        features.append(np.ascontiguousarray(np.asarray(feature.data).T, np.float32))
     return features
 
 

@@ -183,7 +183,7 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool, check_mirrored: b
     unknown = np.full((size, size), np.nan)
     if not candidates:
         return SurfaceRegistration(Alignment.NONE, None, (), (), np.zeros(3), unknown, np.nan, np.nan)
-    ordered = sorted(_uncontradicted(candidates), key=lambda each: -worth(each.judged))
+    ordered = sorted(_uncontradicted(candidates), key=lambda candidate: -worth(candidate.judged))
     best = _finished(ordered[0], with_scale=with_scale)
     tolerance = best.sides.tolerance
     fit = PairFit.at(best.sides, best.place, 1.0, best.sign, tolerance, best.sides.second.fine.some(ALL_SAMPLES))
@@ -198,7 +198,7 @@ def _answer(candidates: list[_Candidate], *, with_scale: bool, check_mirrored: b
     if free:
         return made
     is_all = best.sides.has_closed and max(whole.overlap) > _WHOLE
-    rivals = [each for each in ordered[1:] if is_rival(each.judged, whole, is_all=is_all)]
+    rivals = [candidate for candidate in ordered[1:] if is_rival(candidate.judged, whole, is_all=is_all)]
     alternatives = [rival.judged for rival in rivals if best.is_apart_from(rival)]
     if check_mirrored and not alternatives and max(whole.overlap) < _WHOLE and needs_mirror_test(ordered[0].judged):
         alternatives = _mirrored_rivals(ordered[0], with_scale=with_scale)
@@ -217,14 +217,14 @@ def _mirrored_rivals(best: _Candidate, *, with_scale: bool) -> list[SurfacePose]
     """
     whole = best.judged
     sides = replace(best.sides, second=best.sides.second.mirrored)
-    found = _uncontradicted(_refined(sides, None, with_scale=with_scale))
+    images = _uncontradicted(_refined(sides, None, with_scale=with_scale))
     return [
-        replace(each.judged, is_mirrored=True)
-        for each in found
-        if holds(each.judged)
-        and is_rival(each.judged, whole)
-        and not surpasses(whole, each.judged)
-        and (surpasses(each.judged, whole) or not whole.shows_more_than_bounds)
+        replace(candidate.judged, is_mirrored=True)
+        for candidate in images
+        if holds(candidate.judged)
+        and is_rival(candidate.judged, whole)
+        and not surpasses(whole, candidate.judged)
+        and (surpasses(candidate.judged, whole) or not whole.shows_more_than_bounds)
     ]
 
 
@@ -251,9 +251,11 @@ def _uncontradicted(candidates: list[_Candidate]) -> list[_Candidate]:
     chance.
     """
     holding: list[_Candidate] = []
-    for candidate in sorted(candidates, key=lambda each: -worth(each.judged)):
+    for candidate in sorted(candidates, key=lambda candidate: -worth(candidate.judged)):
         if holds(candidate.judged) and not any(candidate.is_beaten_by(other) for other in holding):
             judged = judge(candidate.sides, candidate.place, candidate.sign, ALL_SAMPLES)
             holding.append(replace(candidate, judged=judged))
-    sized = [each for each in holding if not any(surpasses(other.judged, each.judged) for other in holding)]
+    sized = [
+        candidate for candidate in holding if not any(surpasses(other.judged, candidate.judged) for other in holding)
+    ]
     return sized or candidates

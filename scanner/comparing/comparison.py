@@ -90,33 +90,33 @@ def compare_calibrations(
     sizes = second.calibration.sizes, first.calibration.sizes
     refuse_other_sizes(second.name, *sizes, f"that of {first.name}", ": these are two rigs")
     both = f"{first.name} and {second.name}"
-    one, other = first.errors, second.errors
-    units = [each.calibration.unit for each in (one, other)]
+    of_first, of_second = first.errors, second.errors
+    units = [of_first.calibration.unit, of_second.calibration.unit]
     metric = UNKNOWN_UNIT not in units
     if metric:
-        other = _in_unit(other, metres_per(units[1]) / metres_per(units[0]), units[0])
-    grid = _grid(one.calibration.camera.size)
+        of_second = _in_unit(of_second, metres_per(units[1]) / metres_per(units[0]), units[0])
+    grid = _grid(of_first.calibration.camera.size)
     at = np.array([parse_length(text, units[0]) for text in depths]) if depths else _depths(first)
     try:
-        found = compare(one, other, grid.reshape(-1, 2), at, metric=metric)
+        difference = compare(of_first, of_second, grid.reshape(-1, 2), at, metric=metric)
     except ValueError as error:
         raise InputError(
             f"{both} cannot be compared: {error}; expected standard deviations that a rig can have"
         ) from error
-    if found is None:
+    if difference is None:
         raise InputError(
             f"{both} see next to nothing in common at depths of {', '.join(f'{d:.3g}' for d in at)} "
             f"{units[0]}: they are not of one rig, or --depths is far from where both devices see"
         )
     return CalibrationComparison(
         (first.name, second.name),
-        (one.known, other.known),
+        (of_first.known, of_second.known),
         units[0],
         metric,
-        one.calibration.camera.size,
+        of_first.calibration.camera.size,
         grid,
-        found,
-        tuple(_sheet(found, float(depth), grid) for depth in at),
+        difference,
+        tuple(_sheet(difference, float(depth), grid) for depth in at),
     )
 
 
@@ -161,15 +161,17 @@ def _depths(of: NamedCalibration) -> Floats:
     return depth * np.array(_AROUND)
 
 
-def _sheet(found: Difference, depth: float, grid: Floats) -> Sheet:
-    here = np.flatnonzero(found.depth == depth)
+def _sheet(difference: Difference, depth: float, grid: Floats) -> Sheet:
+    here = np.flatnonzero(difference.depth == depth)
     # No two pixels of the grid correlate.
     place = {tuple(pixel): i for i, pixel in enumerate(grid.reshape(-1, 2).tolist())}
-    index = [place[tuple(pixel)] for pixel in found.camera_px[here].tolist()]
+    index = [place[tuple(pixel)] for pixel in difference.camera_px[here].tolist()]
 
     def over(values: Floats) -> Floats:
         filled = np.full(grid.shape[0] * grid.shape[1], np.nan)
         filled[index] = values[here]
         return filled.reshape(grid.shape[:2])
 
-    return Sheet(depth, over(found.length), over(found.length_sigma), over(found.px), over(found.px_sigma))
+    return Sheet(
+        depth, over(difference.length), over(difference.length_sigma), over(difference.px), over(difference.px_sigma)
+    )

@@ -15,8 +15,8 @@ Register = Callable[[SurfacePoints, SurfacePoints], SurfaceRegistration]
 
 
 def register_either_side(
-    one: SurfacePoints,
-    other: SurfacePoints,
+    first: SurfacePoints,
+    second: SurfacePoints,
     register: Register,
     known: tuple[bool, bool],
     *,
@@ -28,19 +28,19 @@ def register_either_side(
     certain; the other one is turned. If neither is, the first one is, if it `is_only_mesh` of the two;
     otherwise the second one. Raises what `register` does.
     """
-    found = register(one, other)
-    given = one.normals is not None and other.normals is not None
-    if found.alignment is not Alignment.NONE or not given or all(known):
-        return found, None
+    registration = register(first, second)
+    given = first.normals is not None and second.normals is not None
+    if registration.alignment is not Alignment.NONE or not given or all(known):
+        return registration, None
     number = 0 if known[1] or (is_only_mesh and not known[0]) else 1
-    sides = [_turned(side) if k == number else side for k, side in enumerate((one, other))]
+    sides = [_turned(side) if k == number else side for k, side in enumerate((first, second))]
     again = register(*sides)
-    return (found, None) if again.alignment is Alignment.NONE else (again, number)
+    return (registration, None) if again.alignment is Alignment.NONE else (again, number)
 
 
-def turned_note(name: str, other: str) -> str:
-    """What was done to the normals of the one, for people."""
-    return f"{name}: its normals are on the other side of the surface than those of {other}, and were turned round."
+def turned_note(name: str, reference: str) -> str:
+    """What was done to the normals of a surface, for people."""
+    return f"{name}: its normals are on the other side of the surface than those of {reference}, and were turned round."
 
 
 def _turned(side: SurfacePoints) -> SurfacePoints:
@@ -62,10 +62,10 @@ def outer_normals(
         share = float(np.mean(along > 0))
         one_side = max(share, 1 - share) > _AGREE
         normals = normals * (np.sign(share - 0.5) if one_side else np.where(along < 0, -1.0, 1.0)[:, None])
-    found = nearest_values(surface.points, normals, points)
+    outer = nearest_values(surface.points, normals, points)
     if eye is not None:
-        found = towards(found, points, eye)
-    return found, eye is not None or reference is not None
+        outer = towards(outer, points, eye)
+    return outer, eye is not None or reference is not None
 
 
 def towards(normals: Floats, points: Floats, eye: Floats) -> Floats:

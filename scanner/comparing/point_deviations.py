@@ -81,22 +81,22 @@ class PointDeviations:
 
 def measure_deviations(
     first: ComparedSurface,
-    one: SurfacePoints,
+    first_points: SurfacePoints,
     second: ComparedSurface,
-    other: SurfacePoints,
-    found: SurfaceRegistration,
+    second_points: SurfacePoints,
+    registration: SurfaceRegistration,
     limit: float | None,
 ) -> PointDeviations:
-    """Deviations of the `second` surface from the `first` one, given what was registered of both, `one` and `other`.
+    """Deviations of the `second` surface from the `first` one, given the points of both that were registered.
 
     `limit`: a tolerance that is to be tested.
     """
-    assert found.best is not None
-    pose, scale = found.best.pose, found.best.scale
-    points = pose @ (scale * (second.points if not second.is_mesh else other.points))
-    normals = _normals_of_mesh(other) if second.is_mesh else second.normals
+    assert registration.best is not None
+    pose, scale = registration.best.pose, registration.best.scale
+    points = pose @ (scale * (second.points if not second.is_mesh else second_points.points))
+    normals = _normals_of_mesh(second_points) if second.is_mesh else second.normals
     spacing = spacing_of(points)
-    reference = _reference(one)
+    reference = _reference(first_points)
     are_oriented = True
     if normals is None:
         eye = None if second.eye is None else pose @ (scale * second.eye)
@@ -104,25 +104,27 @@ def measure_deviations(
         normals, are_oriented = outer_normals(points, _cell(points, spacing), eye, of_mesh)
     else:
         normals = pose.rotate(normals)
-    reach = _REACH_TOLERANCES * found.tolerance
+    reach = _REACH_TOLERANCES * registration.tolerance
     if limit is not None:
         reach = max(reach, _REACH_TOLERANCE * limit)
     if first.triangles is not None:
         deviations = from_mesh(points, normals, first.points, first.triangles, reach)
     else:
         samples = reference.on_surface()
-        spread = local_noise(one.points, samples.points)
+        spread = local_noise(first_points.points, samples.points)
         deviations = from_samples(points, normals, samples, spread, reach, are_oriented=are_oriented)
     noise = _noise(second, points, scale)
-    extra = None if second.effects is None else _calibration(second, found)
-    cells, of_cell = _cells(found, points, normals, deviations, noise, extra, _cell(points, spacing))
+    extra = None if second.effects is None else _calibration(second, registration)
+    cells, of_cell = _cells(registration, points, normals, deviations, noise, extra, _cell(points, spacing))
     shared = np.sqrt(
         np.maximum(0.0, (cells.sigma[of_cell] / cells.inflation) ** 2 - _of_means(of_cell, noise, len(cells.sigma)))
     )
     sigma = cells.inflation * np.sqrt(noise**2 + shared**2)
     regions = tuple(find_regions(cells))
     known = are_oriented or reference.is_oriented
-    return PointDeviations(found, points, normals, deviations.distance, sigma, cells, of_cell, regions, reach, known)
+    return PointDeviations(
+        registration, points, normals, deviations.distance, sigma, cells, of_cell, regions, reach, known
+    )
 
 
 def box_diagonal(points: Floats) -> float:
@@ -147,25 +149,25 @@ def _normals_of_mesh(sampled: SurfacePoints) -> Floats | None:
     return None if are_opposed(*some) else sampled.normals
 
 
-def _reference(one: SurfacePoints) -> SampledSurface:
+def _reference(surface: SurfacePoints) -> SampledSurface:
     """Samples of the first surface, with normals on the outer side if it is known."""
-    cell = max(box_diagonal(one.points) / _CELLS, _REFERENCE_SPACINGS * spacing_of(one.points))
-    samples = sample_surface(one.points, one.normals, cell, one.noise)
-    if samples.is_oriented or one.eye is None:
+    cell = max(box_diagonal(surface.points) / _CELLS, _REFERENCE_SPACINGS * spacing_of(surface.points))
+    samples = sample_surface(surface.points, surface.normals, cell, surface.noise)
+    if samples.is_oriented or surface.eye is None:
         return samples
-    return replace(samples, normals=towards(samples.normals, samples.points, one.eye), is_oriented=True)
+    return replace(samples, normals=towards(samples.normals, samples.points, surface.eye), is_oriented=True)
 
 
-def _calibration(second: ComparedSurface, found: SurfaceRegistration) -> tuple[Floats, Floats] | None:
+def _calibration(second: ComparedSurface, registration: SurfaceRegistration) -> tuple[Floats, Floats] | None:
     """Places (K, 3), and the effects (K, 3, S) of the calibration's errors there, after the alignment."""
-    if second.effects is None or found.best is None:
+    if second.effects is None or registration.best is None:
         return None
-    pose, scale = found.best.pose, found.best.scale
+    pose, scale = registration.best.pose, registration.best.scale
     return pose @ (scale * second.effects.points), scale * (pose.rotation @ second.effects.moved)
 
 
 def _cells(
-    found: SurfaceRegistration,
+    registration: SurfaceRegistration,
     points: Floats,
     normals: Floats,
     deviations: Deviations,
@@ -192,21 +194,21 @@ def _cells(
     facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
     variance = np.bincount(of_cell, noise**2) / count**2
     variance += np.bincount(of_cell, deviations.variance) / count
-    variance += found.position_covariance(facing, middle)
+    variance += registration.position_covariance(facing, middle)
     if calibration is not None:
-        variance += _calibration_variance(found, middle, facing, *calibration)
+        variance += _calibration_variance(registration, middle, facing, *calibration)
     least = 1e-9 * cell
     sigma, factor = inflated(np.sqrt(np.maximum(variance, least**2)), distance)
     return CellDeviations(middle, facing, distance, sigma, cell, factor), of_cell
 
 
 def _calibration_variance(
-    found: SurfaceRegistration, points: Floats, normals: Floats, places: Floats, moved: Floats
+    registration: SurfaceRegistration, points: Floats, normals: Floats, places: Floats, moved: Floats
 ) -> Floats:
     """Variance (C,) along normals (C, 3) by the calibration, without what the alignment takes up."""
     own = nearest_values(points, normals, places)
     effects = np.einsum("ki,kis->ks", own, moved)
-    jacobian = found.jacobian(own, places)
+    jacobian = registration.jacobian(own, places)
     effects -= jacobian @ np.linalg.lstsq(jacobian, effects, rcond=1e-9)[0]
     return nearest_values(places, np.sum(effects**2, axis=1), points)
 

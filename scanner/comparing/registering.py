@@ -97,12 +97,12 @@ def register_clouds(paths: Sequence[Path], track: Track) -> RegisteredClouds:
     for first, second in track(numbers, len(numbers), "Registering"):
         known = clouds[first].knows_outside, clouds[second].knows_outside
         try:
-            found, turned = register_either_side(sampled[first], sampled[second], register_surfaces, known)
+            registration, turned = register_either_side(sampled[first], sampled[second], register_surfaces, known)
         except ValueError as error:
             raise InputError(f"{paths[first]} and {paths[second]} cannot be registered: {error}") from error
         except ImportError as error:
             raise InputError(str(error)) from error
-        pairs.append(RegisteredPair(first, second, found))
+        pairs.append(RegisteredPair(first, second, registration))
         if turned is not None:
             names = clouds[first].name, clouds[second].name
             notes.append(turned_note(*(names if turned == 0 else names[::-1])))
@@ -148,12 +148,18 @@ def _graph(pairs: Sequence[RegisteredPair], middles: Sequence[Floats], count: in
     """The largest group that unique pairs connect, in the frame of its first cloud."""
     edges = []
     for pair in pairs:
-        found = pair.registration
-        if found.alignment is Alignment.UNIQUE and found.best is not None and np.isfinite(found.covariance).all():
+        registration = pair.registration
+        if (
+            registration.alignment is Alignment.UNIQUE
+            and registration.best is not None
+            and np.isfinite(registration.covariance).all()
+        ):
             to, of = (Pose(np.eye(3), middles[k]) for k in (pair.first, pair.second))
-            about = to.inverse() @ found.best.pose @ of
-            centre = found.centre - middles[pair.first]
-            edges.append(PairPose(pair.first, pair.second, about, centre, found.covariance, found.tolerance))
+            about = to.inverse() @ registration.best.pose @ of
+            centre = registration.centre - middles[pair.first]
+            edges.append(
+                PairPose(pair.first, pair.second, about, centre, registration.covariance, registration.tolerance)
+            )
     graphs: list[PoseGraph] = []
     for root in range(count):
         if not any(root in graph.places for graph in graphs):
@@ -271,13 +277,13 @@ def _cloud_document(clouds: RegisteredClouds, number: int) -> dict[str, Any]:
 
 
 def _pair_document(clouds: RegisteredClouds, pair: RegisteredPair) -> dict[str, Any]:
-    found = pair.registration
+    registration = pair.registration
     entry: dict[str, Any] = {
         "first": pair.first + 1,
         "second": pair.second + 1,
-        "alignment": found.alignment.value,
+        "alignment": registration.alignment.value,
         "dropped": any((each.first, each.second) == (pair.first, pair.second) for each in clouds.graph.dropped),
     }
-    if found.best is not None:
-        entry |= {"overlap": list(found.best.overlap), "agreeing_share": found.best.share}
+    if registration.best is not None:
+        entry |= {"overlap": list(registration.best.overlap), "agreeing_share": registration.best.share}
     return entry

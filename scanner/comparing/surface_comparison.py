@@ -130,22 +130,22 @@ def compare_surfaces(
     scales = _scales(first, second, stated, scale_free=scale_free)
     with_scale = scale_free or UNKNOWN_UNIT in (second.unit, first.unit)
     try:
-        found, turned = _registered(first, second, [scale for scale, _ in scales], with_scale=with_scale)
+        registration, turned = _registered(first, second, [scale for scale, _ in scales], with_scale=with_scale)
     except ValueError as error:
         raise InputError(f"{result} and {reference} cannot be aligned: {error}") from error
     except ImportError as error:
         raise InputError(str(error)) from error
-    working, sentence = _unit_of(found, scales, stated, first, second, with_scale=with_scale)
+    working, sentence = _unit_of(registration, scales, stated, first, second, with_scale=with_scale)
     limit = None if tolerance is None else _tolerance(tolerance, working)
     notes = [*second.notes, *first.notes]
     if turned is not None:
         notes.append(turned_note(*((first.name, second.name) if turned == 0 else (second.name, first.name))))
         first, second = (first.turned, second) if turned == 0 else (first, second.turned)
     names = (second.name, first.name)
-    unaligned = SurfaceComparison(names, working, sentence, found, None, first, None, None, False, tuple(notes))
-    if found.alignment is not Alignment.UNIQUE:
+    unaligned = SurfaceComparison(names, working, sentence, registration, None, first, None, None, False, tuple(notes))
+    if registration.alignment is not Alignment.UNIQUE:
         return unaligned
-    measured = measure_deviations(first, first.sampled, second, second.sampled, found, limit)
+    measured = measure_deviations(first, first.sampled, second, second.sampled, registration, limit)
     if turned is not None and not (first.knows_outside or second.knows_outside):
         measured = replace(measured, knows_outside=False)
     return replace(
@@ -169,12 +169,12 @@ def _registered(
     same = [scale for scale in scales if second.unit is None and not with_scale and scale == 1.0]
     for some in [same, scales] if same and len(scales) > 1 else [scales]:
         register = partial(register_surfaces, scales=some, with_scale=with_scale)
-        found, turned = register_either_side(
+        registration, turned = register_either_side(
             first.sampled, second.sampled, register, known, is_only_mesh=first.is_mesh and not second.is_mesh
         )
-        if found.alignment is Alignment.UNIQUE:
+        if registration.alignment is Alignment.UNIQUE:
             break
-    return found, turned
+    return registration, turned
 
 
 def _tolerance(text: str, unit: str) -> float:
@@ -215,7 +215,7 @@ def _scales(
 
 
 def _unit_of(
-    found: SurfaceRegistration,
+    registration: SurfaceRegistration,
     scales: list[tuple[float, str | None]],
     stated: str | None,
     first: ComparedSurface,
@@ -225,9 +225,9 @@ def _unit_of(
 ) -> tuple[str, str | None]:
     """The unit of the reference, and what was found out about it."""
     is_stated = stated is not None and stated != UNKNOWN_UNIT
-    if found.best is None:
+    if registration.best is None:
         return str(stated) if is_stated else NO_UNIT, None
-    scale = found.best.scale
+    scale = registration.best.scale
     enlarged = f"{second.name} was enlarged {scale:.6g} times, as fits best."
     if with_scale:
         return str(stated) if is_stated else NO_UNIT, enlarged
@@ -243,19 +243,19 @@ def _unit_of(
 
 
 def _changes(
-    first: ComparedSurface, one: SurfacePoints, second: ComparedSurface, measured: PointDeviations
+    first: ComparedSurface, first_points: SurfacePoints, second: ComparedSurface, measured: PointDeviations
 ) -> tuple[Change, ...] | None:
     """What is new, gone or has moved, where both scanners' places are known."""
-    found = measured.registration
-    if not (first.views and second.views) or found.best is None:
+    registration = measured.registration
+    if not (first.views and second.views) or registration.best is None:
         return None
-    pose, scale, cells = found.best.pose, found.best.scale, measured.cells
+    pose, scale, cells = registration.best.pose, registration.best.scale, measured.cells
     earlier = [FreeSpace.of(seen, eye) for eye, seen in first.views]
     later = [FreeSpace.of(pose @ (scale * seen), pose @ (scale * eye)) for eye, seen in second.views]
-    former = sample_surface(one.points, one.normals, cells.cell, one.noise)
-    now = sample_surface(measured.points, measured.normals, cells.cell, found.residual)
+    former = sample_surface(first_points.points, first_points.normals, cells.cell, first_points.noise)
+    now = sample_surface(measured.points, measured.normals, cells.cell, registration.residual)
     unmatched = ~from_samples(former.points, former.normals, now, np.zeros(len(now)), measured.reach).there
-    gone, by = former.points[unmatched], _FREE_TOLERANCES * found.tolerance
+    gone, by = former.points[unmatched], _FREE_TOLERANCES * registration.tolerance
     return tuple(find_changes(cells, measured.regions, earlier, gone, later, by))
 
 

@@ -71,11 +71,11 @@ def text_layout(path: Path) -> TextLayout:
         lines = lines[:-1]  # it goes on
     separators = _WITH_DECIMAL_COMMAS if _has_decimal_commas(lines) else _WITHOUT
     numbers = [_numbers(line.translate(separators)) for line in lines]
-    start = next((k for k, each in enumerate(numbers) if len(each) >= 3), None)
+    start = next((k for k, of_line in enumerate(numbers) if len(of_line) >= 3), None)
     if start is None:
-        told = next((line for line in lines if line.strip()), b"").decode("utf-8", errors="replace")
-        raise InputError(f"{path}: expected lines with three numbers, x y z, or more, found {shown(told.strip())}")
-    sample = [each for each in numbers[start : start + _SAMPLE] if len(each) >= 3]
+        first = next((line for line in lines if line.strip()), b"").decode("utf-8", errors="replace")
+        raise InputError(f"{path}: expected lines with three numbers, x y z, or more, found {shown(first.strip())}")
+    sample = [of_line for of_line in numbers[start : start + _SAMPLE] if len(of_line) >= 3]
     header = tuple(line.decode("utf-8", errors="replace").strip() for line in lines[:start])
     named = _named(header, len(lines[start].translate(separators).split()))
     columns = named or dict(zip("xyz", count(1 if _are_numbered(sample) else 0), strict=False))
@@ -90,20 +90,20 @@ def table_layout(columns: dict[str, int], newline: bytes, start: int) -> TextLay
 def _has_decimal_commas(lines: list[bytes]) -> bool:
     """Whether commas are within numbers, as in '0,5 1,25 −3,0', and not between them."""
     words = [line.translate(bytes.maketrans(b";", b" ")).decode("ascii", errors="replace").split() for line in lines]
-    of_numbers = [each for each in words if len(each) >= 3 and all(word[-1].isdigit() for word in each)]
-    with_commas = [word for each in of_numbers for word in each if "," in word]
+    of_numbers = [of_line for of_line in words if len(of_line) >= 3 and all(word[-1].isdigit() for word in of_line)]
+    with_commas = [word for of_line in of_numbers for word in of_line if "," in word]
     return len(with_commas) > 0 and all(_DECIMAL_COMMA.fullmatch(word) for word in with_commas)
 
 
 def _numbers(line: bytes) -> list[float]:
     """The numbers that a line begins with, until something else comes."""
-    found = []
+    numbers = []
     for word in line.split():
         try:
-            found.append(float(word))
+            numbers.append(float(word))
         except ValueError:
             break
-    return found
+    return numbers
 
 
 def _named(header: Sequence[str], count: int) -> dict[str, int]:
@@ -116,7 +116,7 @@ def _named(header: Sequence[str], count: int) -> dict[str, int]:
 
 def _are_numbered(sample: list[list[float]]) -> bool:
     """Whether lines begin with the points' numbers, from 0 or 1."""
-    begins = [each[0] for each in sample]
+    begins = [of_line[0] for of_line in sample]
     steps = np.arange(len(sample)) + (begins[0] if begins[0] in (0.0, 1.0) else np.nan)
     return len(sample) >= _FEWEST_NUMBERED and min(map(len, sample)) > 3 and bool(np.all(steps == begins))
 
@@ -128,22 +128,22 @@ def read_text_rows(
 
     Raises InputError if the file is missing, or if most of its lines do not have these numbers.
     """
-    found = sum(len(lines) for lines in _pieces(path, layout.newline, layout.start))
-    total = found if expected is None else min(found, expected)
+    there = sum(len(lines) for lines in _pieces(path, layout.newline, layout.start))
+    total = there if expected is None else min(there, expected)
     step = max(1, -(-total // most))
-    parts, strange, seen = [np.zeros((0, len(columns)))], list[bytes](), 0
+    parts, strange, read = [np.zeros((0, len(columns)))], list[bytes](), 0
     for lines in _pieces(path, layout.newline, layout.start):
-        some = [line.translate(layout.separators) for line in lines[-seen % step : total - seen : step]]
-        seen += len(lines)
+        some = [line.translate(layout.separators) for line in lines[-read % step : total - read : step]]
+        read += len(lines)
         values, wrong = _values(some, columns)
         parts.append(values)
         strange += wrong
-        if seen >= total:
+        if read >= total:
             break
     values = np.concatenate(parts)
     if len(strange) > _MOST_UNREADABLE * (len(values) + len(strange)):
-        told = strange[0].decode("utf-8", errors="replace").strip()
-        raise InputError(f"{path}: expected {max(columns) + 1} numbers or more in a line, found {shown(told)}")
+        first = strange[0].decode("utf-8", errors="replace").strip()
+        raise InputError(f"{path}: expected {max(columns) + 1} numbers or more in a line, found {shown(first)}")
     return TextRows(values, total, len(strange))
 
 

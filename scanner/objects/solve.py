@@ -106,8 +106,8 @@ def _registered(
 ) -> _Stations:
     """`near`: places in baselines. Raises RefusalError."""
     clouds = [
-        build_cloud(each.matches, each.texture, calibration)
-        for each in progress.track(captures, len(captures), "Surfaces")
+        build_cloud(capture.matches, capture.texture, calibration)
+        for capture in progress.track(captures, len(captures), "Surfaces")
     ]
     for capture, cloud in zip(captures, clouds, strict=True):
         with naming(capture, among=len(captures)):
@@ -157,22 +157,22 @@ def stations_outside(captures: Sequence[Decoded], calibration: Calibration) -> t
 
 
 def _outlier_stations(registered: Registered, captures: Sequence[Decoded]) -> tuple[OutlierStation, ...]:
-    found = []
-    for each in registered.left_out:
-        name, matches = captures[each.station].name, len(captures[each.station].matches)
-        finding = each.finding
+    outliers = []
+    for station in registered.left_out:
+        name, matches = captures[station.station].name, len(captures[station.station].matches)
+        finding = station.finding
         if finding.kind == NOTHING_SEEN and matches < FEWEST_PIXELS:
             message = f"only {matches} of its pixels measure anything"
             finding = Finding(TOO_SMALL, Severity.WARNING, message, data={"pixels": float(matches)})
-        found.append(OutlierStation(name, finding))
-    return tuple(found)
+        outliers.append(OutlierStation(name, finding))
+    return tuple(outliers)
 
 
 def outside_text(outside: Sequence[OutlierStation]) -> str:
     """Each reason with its stations, of which three are named."""
     by_reason: dict[str, list[str]] = {}
-    for each in outside:
-        by_reason.setdefault(each.finding.message, []).append(each.name)
+    for station in outside:
+        by_reason.setdefault(station.finding.message, []).append(station.name)
     return "; ".join(f"{brief(names)}: {reason}" for reason, names in by_reason.items())
 
 
@@ -184,9 +184,9 @@ def brief(names: Sequence[str]) -> str:
 
 def advice_on(outside: Sequence[OutlierStation]) -> str:
     """Advice if no two stations fit together."""
-    if all(each.finding.kind == NOTHING_SEEN for each in outside):
+    if all(station.finding.kind == NOTHING_SEEN for station in outside):
         return "Turn the thing between stations: what is the same in all of them is taken for background."
-    if any(each.finding.kind == TOO_SMALL for each in outside):
+    if any(station.finding.kind == TOO_SMALL for station in outside):
         return (
             "Bring the rig nearer, so that the thing fills the picture, and expose longer or spray it if it is dark or "
             "shiny."
@@ -202,22 +202,22 @@ def _views(
     noise = [relative_noise(cloud.points, cloud.normals) for cloud in clouds]
     rest = resting_depth(depths, noise)
     same = [within(depth, rest, own) & (rest > 0) for depth, own in zip(depths, noise, strict=True)]
-    seen = sum(int(np.count_nonzero(cloud.there)) for cloud in clouds)
+    measured = sum(int(np.count_nonzero(cloud.there)) for cloud in clouds)
     few = len(clouds) < FEWEST_TO_REST
     planes: list[Floats] = []
-    if not few or sum(np.count_nonzero(each) for each in same) > _RESTS * seen:
+    if not few or sum(np.count_nonzero(at_rest) for at_rest in same) > _RESTS * measured:
         planes = resting_planes(
             [cloud.points[resting] for cloud, resting in zip(clouds, same, strict=True)], float(np.median(noise))
         )
     if few:
-        same = [np.zeros_like(each) for each in same]
+        same = [np.zeros_like(at_rest) for at_rest in same]
     views, rests = [], 0
     for cloud, capture, own, at_rest in zip(clouds, captures, noise, same, strict=True):
         resting = at_rest | in_planes(cloud.points, planes, own)
         rests += int(np.count_nonzero(resting))
         behind = np.where(at_rest, rest, np.where(resting, cloud.points[..., 2], np.float32(0)))
         views.append(view_of(cloud.points, cloud.normals, camera, behind, capture.texture))
-    return views, rests / max(1, seen)
+    return views, rests / max(1, measured)
 
 
 def _finished(
@@ -248,7 +248,7 @@ def _finished(
             loose.append(n)
         of_thing = kept[n].of_thing[..., None]
         nothing = np.float32(np.nan)
-        points, normals = (np.where(of_thing, each, nothing) for each in view.image[:2])
+        points, normals = (np.where(of_thing, image, nothing) for image in view.image[:2])
         own = replace(registered.clouds[k], points=points, normals=normals)
         on_no_plane = np.full(view.image.depth.shape, -1, np.int32)
         place = upright @ places[n]

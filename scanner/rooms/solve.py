@@ -115,51 +115,51 @@ def _measured(estimate: RoomEstimate, captures: Sequence[Decoded]) -> Calibratio
 class _Registered:
     """All captures by one rig, which of them another one made, and which belong together."""
 
-    seen: Sequence[CaptureView]
+    views: Sequence[CaptureView]
     changed: Mapping[int, Finding]
     registration: Registration
 
     @property
     def members(self) -> list[CaptureView]:
         """Of the largest group."""
-        return [self.seen[k] for group in self.registration.groups[:1] for k in group.stations]
+        return [self.views[k] for group in self.registration.groups[:1] for k in group.stations]
 
     def is_settled_by(self, measured: Calibration, turned: Mapping[int, Finding]) -> bool:
         """Whether all captures of the rig belong together, also with the estimated rig."""
-        changed = of_another_rig([each.decoded.matches for each in self.seen], measured)
+        changed = of_another_rig([view.decoded.matches for view in self.views], measured)
         as_before = changed.keys() | turned.keys() == self.changed.keys()
-        return as_before and len(self.members) + len(self.changed) == len(self.seen)
+        return as_before and len(self.members) + len(self.changed) == len(self.views)
 
 
 def _registered(
     captures: Sequence[Decoded], rig: Calibration, turned: Mapping[int, Finding], progress: Progress
 ) -> _Registered:
     """Register the captures without those known to be `turned`. Raises RefusalError if no two belong together."""
-    seen = [segment_capture(capture, rig) for capture in progress.track(captures, len(captures), "Surfaces")]
-    changed = {**turned, **of_another_rig([each.matches for each in captures], rig)}
+    views = [segment_capture(capture, rig) for capture in progress.track(captures, len(captures), "Surfaces")]
+    changed = {**turned, **of_another_rig([capture.matches for capture in captures], rig)}
     with progress.step("Registering"):
-        registration = register([each.view for each in seen], changed)
+        registration = register([view.view for view in views], changed)
     if not registration.groups:
         raise RefusalError(
             NO_COMMON_PART,
             "No two stations show the same part of a room: " + _reasons(captures, registration),
             NO_COMMON_PART.remedy,
         )
-    return _Registered(seen, changed, registration)
+    return _Registered(views, changed, registration)
 
 
 def _turned(registered: _Registered, estimate: RoomEstimate) -> dict[int, Finding]:
     """Captures with a changed rig, by the planes that they saw; with the size of the change."""
     stations = registered.registration.groups[0].stations
     return {
-        stations[each.station]: Finding(
+        stations[change.station]: Finding(
             CHANGED_RIG,
             Severity.WARNING,
-            f"by the planes that it saw, its projector was rotated by {each.turn_deg:.2g}° against the camera, which "
-            f"moves its light by {each.px:.2g} px",
-            data={"turn_deg": each.turn_deg, "off_px": each.px},
+            f"by the planes that it saw, its projector was rotated by {change.turn_deg:.2g}° against the camera, which "
+            f"moves its light by {change.px:.2g} px",
+            data={"turn_deg": change.turn_deg, "off_px": change.px},
         )
-        for each in changed_extrinsics(estimate)
+        for change in changed_extrinsics(estimate)
     }
 
 
@@ -186,10 +186,10 @@ def _checked_against_surfaces(
             return estimate, False
         known = RigPrior.exactly(estimate.room.rig)
         by_surfaces = estimate_without_planes(matches, estimate.room.places, estimate.room.rig, known)
-        left = disagreements(matches, by_surfaces)
-    if left:
-        names = sorted({members[k].decoded.name for each in left for k in (each.first, each.second)})
-        worst = max(left, key=lambda each: max(each.sigmas, each.apart))
+        apart = disagreements(matches, by_surfaces)
+    if apart:
+        names = sorted({members[k].decoded.name for pair in apart for k in (pair.first, pair.second)})
+        worst = max(apart, key=lambda pair: max(pair.sigmas, pair.apart))
         raise RefusalError(
             SURFACES_APART,
             f"The surfaces of {', '.join(names)} do not coincide: {_apart(worst)}.",
@@ -220,8 +220,8 @@ def _estimated(members: Sequence[CaptureView], group: Group, start: RigStart, co
     else:
         prior = RigPrior.exactly(state)
     matches = [ideal_matches(member.decoded.matches, start) for member in members]
-    loose = [each[seen.plane < 0] for each, seen in zip(matches, members, strict=True)]
-    cells = [_cells(each, seen.plane) for each, seen in zip(matches, members, strict=True)]
+    loose = [own[member.plane < 0] for own, member in zip(matches, members, strict=True)]
+    cells = [_cells(own, member.plane) for own, member in zip(matches, members, strict=True)]
     if not any(len(cell) for cell in cells):
         return estimate_without_planes(loose, group.places, state, prior)
     return estimate_room(
@@ -233,9 +233,9 @@ def _estimated(members: Sequence[CaptureView], group: Group, start: RigStart, co
         prior,
         square=_square_pairs(members, group, start),
         squareness_deg=config.corner.expected_squareness_deg,
-        shifts=[shifts_of(each.decoded) for each in members],
+        shifts=[shifts_of(member.decoded) for member in members],
         loose=loose,
-        sights=[_sight(each) for each in members] if is_estimated(start) else (),
+        sights=[_sight(member) for member in members] if is_estimated(start) else (),
     )
 
 
@@ -284,7 +284,7 @@ def _finished(
     registration, members = registered.registration, registered.members
     group = registration.groups[0]
     if by_surfaces:
-        group = replace(group, planes=(), plane_of=tuple((-1,) * len(each) for each in group.plane_of))
+        group = replace(group, planes=(), plane_of=tuple((-1,) * len(of_station) for of_station in group.plane_of))
     metadata = members[0].decoded.metadata
     sigma = sigmas_of(estimate.room.rig, estimate.rig_covariance)
     own = calibration_of(estimate.room.rig, metadata.camera_size, metadata.projector_size, sigma)
@@ -296,17 +296,17 @@ def _finished(
     stations = tuple(
         Station(
             group.stations[i],
-            each.decoded,
-            build_cloud(each.decoded.matches, each.decoded.texture, calibration),
-            np.array([*group.plane_of[i], -1], np.int32)[each.view.labels],
+            member.decoded,
+            build_cloud(member.decoded.matches, member.decoded.texture, calibration),
+            np.array([*group.plane_of[i], -1], np.int32)[member.view.labels],
             (turn @ estimate.room.places[i]).scaled(factor),
             *_sigmas(estimate, i, turn.rotation, factor),
             float(estimate.residual_px[i]),
         )
-        for i, each in enumerate(members)
+        for i, member in enumerate(members)
     )
     match_px = float(np.nanmedian([noise.match_px for noise in estimate.levels.stations]))
-    captures = [each.decoded for each in registered.seen]
+    captures = [view.decoded for view in registered.views]
     findings = [*start.findings, *find_change_of(start, [station.decoded for station in stations])]
     findings += [Finding(NO_FLOOR, Severity.NOTE, _UP_OF_IMAGES)] if floor is None else []
     findings += [Finding(BY_SURFACES, Severity.NOTE, _SURFACES_ALONE)] if by_surfaces else []
