@@ -101,6 +101,12 @@ class Visit:
         field.fill(value)
         field.press("Enter")
 
+    def tick(self, label: str) -> None:
+        """Tick a box, which on a busy machine shows it some time after the click."""
+        box = self.page.get_by_label(label)
+        box.click()
+        expect(box).to_be_checked(timeout=PATIENCE_MS)
+
     def choose(self, label: str, option: str) -> None:
         self.page.get_by_role("combobox", name=label, exact=True).click()
         self.page.get_by_role("option", name=option, exact=True).click()

@@ -260,7 +260,7 @@ def test_several_captures_with_a_sound_and_the_way_to_the_next(console: Console)
     visit = console.visit
     visit.page.get_by_text("Next scan").click()
     visit.set_number("Captures", "2")
-    visit.page.get_by_label("Sound after a capture").check()
+    visit.tick("Sound after a capture")
     visit.press("Scan")
     visit.wait_for("So far the focal lengths are known to")
     assert visit.page.locator("audio[autoplay]").count() == 1

@@ -59,7 +59,7 @@ def test_the_default_place_is_beside_the_result(
         (("--to", "ply", "--points", "7"), ("--points is for colmap",)),
         (("--to", "colmap", "--points", "0"), ("at least 1", "found 0")),
         (("--to", "ply", "--out", "folder.ply"), ("folder.ply", "is a folder")),
-        (("--to", "ply", "--out", "file/room.ply"), ("file", "cannot be made")),
+        (("--to", "ply", "--out", "file/room.ply"), ("file", "is a file, expected a folder")),
     ],
 )
 def test_wrong_arguments(
