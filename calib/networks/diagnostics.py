@@ -50,7 +50,7 @@ def _overlap(grown: Grown, bridges: Sequence[tuple[str, str]]) -> tuple[str, str
         known, new = pair if pair[0] in grown.names else pair[::-1]
         partners = [name for pair in grown.labelled if known in pair for name in pair if name != known]
         by_new, by_others = (
-            np.any([np.isfinite(grown.overlaps.seen[known, name].pixels[..., 0]) for name in names], axis=0)
+            np.any([np.isfinite(grown.overlaps.sightings[known, name].pixels[..., 0]) for name in names], axis=0)
             for names in ([new], partners)
         )
         candidates.append((np.count_nonzero(by_new & by_others), known, new, partners[0], by_new, by_others))

@@ -147,9 +147,9 @@ class _Stations:
         devices = dict(zip(names, network.devices, strict=True))
         points, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
         for captures, overlaps in zip(self.captures, self.overlaps, strict=True):
-            if (hub, new) in overlaps.seen:
-                told, observed = overlaps.known_points(devices, hub, new, _among(captures, names))
-                points.append(told)
+            if (hub, new) in overlaps.sightings:
+                station_points, observed = overlaps.known_points(devices, hub, new, _among(captures, names))
+                points.append(station_points)
                 pixels.append(observed)
         return np.concatenate(points), np.concatenate(pixels)
 
@@ -212,25 +212,25 @@ def estimate_from_pairs(
     ]
     cameras = frozenset(camera for station in captures for camera, _ in station)
     knowledge = NetworkKnowledge(sizes, cameras, SQUARENESS_DEG, lenses or {}, points or {})
-    seen = _Stations(captures, [Overlaps.of(station, sizes) for station in captures], rigs, knowledge)
+    observations = _Stations(captures, [Overlaps.of(station, sizes) for station in captures], rigs, knowledge)
     seed = min(rigs, key=lambda pair: float(rigs[pair].covariance[0, 0]))
     names: tuple[str, ...] = seed
     network = _seeded(rigs[seed], seed, sizes)
-    while len(names) < len({name for pair in seen.pairs for name in pair}):
-        more = _with_next(seen, network, names)
+    while len(names) < len({name for pair in observations.pairs for name in pair}):
+        more = _with_next(observations, network, names)
         if more is None:
-            raise not_connected(_as_grown(seen, network, names))
+            raise not_connected(_as_grown(observations, network, names))
         network, names = more
     free = knowledge.free(network, names)
     for number in range(_ROUNDS):
-        fit = _fitted(seen, network, names, free, CONVERGED if number == _ROUNDS - 1 else ROUGH)
+        fit = _fitted(observations, network, names, free, CONVERGED if number == _ROUNDS - 1 else ROUGH)
         network = fit.state
     covariance = covariance_of(fit.information, free)
-    disagreements = seen.disagreements(network, names, covariance)
+    disagreements = observations.disagreements(network, names, covariance)
     square, expected = np.sum([*disagreements.values()], axis=0)
     # As of measurements that disagree (Birge, "The calculation of errors by the method of least squares", 1932).
     covariance *= max(1.0, square / max(expected, _FEWEST_EXPECTED))
-    noise = {pair: Noise(_match_px(seen, pair), 0.0, 0.0, 1.0) for pair in seen.pairs}
+    noise = {pair: Noise(_match_px(observations, pair), 0.0, 0.0, 1.0) for pair in observations.pairs}
     return NetworkEstimate(
         names,
         sizes,
@@ -241,7 +241,7 @@ def estimate_from_pairs(
         (),
         np.zeros(0),
         Warps(),
-        {pair: _strain(seen, network, names, pair, noise[pair].match_px) for pair in seen.pairs},
+        {pair: _strain(observations, network, names, pair, noise[pair].match_px) for pair in observations.pairs},
         {
             pair: float(np.sqrt(square / max(expected, _FEWEST_EXPECTED)))
             for pair, (square, expected) in disagreements.items()

@@ -72,17 +72,24 @@ def placed_before_wall(points: Floats, pixels: Floats, size: Size, point_px: tup
     frame = np.stack([axes[0], axes[1], np.cross(axes[0], axes[1])], axis=1)
     homography = homography_between((points - centre) @ frame[:, :2] / spread, pixels - point_px) / size.width
     homography[2] *= size.width  # of pixels in image widths
-    (one, other, _) = homography.T
-    by_focal = np.array([one[:2] @ other[:2], one[:2] @ one[:2] - other[:2] @ other[:2]])
-    rest = np.array([one[2] * other[2], one[2] ** 2 - other[2] ** 2])
+    (first_column, second_column, _) = homography.T
+    by_focal = np.array(
+        [
+            first_column[:2] @ second_column[:2],
+            first_column[:2] @ first_column[:2] - second_column[:2] @ second_column[:2],
+        ]
+    )
+    rest = np.array([first_column[2] * second_column[2], first_column[2] ** 2 - second_column[2] ** 2])
     inverse_square = -float(by_focal @ rest) / max(float(by_focal @ by_focal), 1e-300)
     focal = inverse_square**-0.5 if inverse_square > 0 else np.inf
     if not _FOCALS[0] < focal < _FOCALS[1]:
         focal = _USUAL_FOCAL
     before = homography / np.array([[focal], [focal], [1.0]])
     before *= np.sign(before[2, 2]) / np.sqrt(np.linalg.norm(before[:, 0]) * np.linalg.norm(before[:, 1]))
-    left, _, right = np.linalg.svd(np.column_stack([before[:, 0], before[:, 1], np.cross(before[:, 0], before[:, 1])]))
-    back = frame @ (left @ right).T
+    left_vectors, _, right_vectors = np.linalg.svd(
+        np.column_stack([before[:, 0], before[:, 1], np.cross(before[:, 0], before[:, 1])])
+    )
+    back = frame @ (left_vectors @ right_vectors).T
     lens = np.array([focal * size.width, *point_px, 0.0, 0.0, 0.0, 0.0, 0.0])
     return Device(lens, Pose(back, centre - spread * (back @ before[:, 2])), size)
 
@@ -151,7 +158,7 @@ class Grown:
                 return self._with_pair(pair)
             if any(there):
                 candidates.append((pair, *self._known_points(pair)))
-        candidates.sort(key=lambda each: -len(each[1]))
+        candidates.sort(key=lambda candidate: -len(candidate[1]))
         for on_one_plane in (False, True):
             for pair, points, pixels in candidates:
                 new = pair[0] if pair[0] not in self.names else pair[1]
@@ -190,8 +197,8 @@ class Grown:
         """With labels of planes that were met later."""
         matches = {pair: self._labels(pair) for pair in self.labelled}
         again = replace(self, labelled={}, sights=())
-        for pair, each in matches.items():
-            again = again._with(pair, each)
+        for pair, pair_matches in matches.items():
+            again = again._with(pair, pair_matches)
         return again
 
     def _known_points(self, pair: PairName) -> tuple[Floats, Floats]:
@@ -200,30 +207,36 @@ class Grown:
         known, matches = pair[1 - new], self._labels(pair)
         device = self.network.devices[self.names.index(known)]
         pixels = pixels_of(matches, 0), pixels_of(matches, 1)
-        points, seen = [], []
+        points, new_pixels = [], []
         for label, plane in enumerate(self.network.planes):
             own = evenly(matches.labels == label, _SAMPLE)
             if len(own) >= _LEAST_ON_PLANE:
                 points.append(points_on(pixels[1 - new][own], device, plane))
-                seen.append(pixels[new][own])
+                new_pixels.append(pixels[new][own])
         if len(points) < 2:
             devices = dict(zip(self.names, self.network.devices, strict=True))
             loose, at = self.overlaps.known_points(devices, known, pair[new], self.labelled)
             some = evenly(np.ones(len(loose), np.bool_), _SAMPLE)
             points.append(loose[some])
-            seen.append(at[some])
-        return np.concatenate(points), np.concatenate(seen)
+            new_pixels.append(at[some])
+        return np.concatenate(points), np.concatenate(new_pixels)
 
     def _labels(self, pair: PairName) -> Matches:
         """Its matches, with what others tell of those without a label."""
         matches = self.labelled.get(pair, replace(self.captures[pair], face=None))
         label = np.full(len(matches), NO_FACE, np.int32) if matches.face is None else matches.face.copy()
         for role, name in enumerate(pair):
-            others = [each for other, each in self.labelled.items() if other != pair and other[role] == name]
-            if not others or not (label == NO_FACE).any():
+            sharing = [
+                pair_matches
+                for labelled_pair, pair_matches in self.labelled.items()
+                if labelled_pair != pair and labelled_pair[role] == name
+            ]
+            if not sharing or not (label == NO_FACE).any():
                 continue
             raster, unlabelled = self.overlaps.rasters[name], np.flatnonzero(label == NO_FACE)
-            labels_of_pixels = label_map(raster, [(pixels_of(each, role), each.labels) for each in others])
+            labels_of_pixels = label_map(
+                raster, [(pixels_of(pair_matches, role), pair_matches.labels) for pair_matches in sharing]
+            )
             label[unlabelled] = read(raster, labels_of_pixels, pixels_of(matches, role)[unlabelled])
         return matches.with_faces(label)
 

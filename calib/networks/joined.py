@@ -68,7 +68,7 @@ def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Ma
     rays, _ = unproject(device.lens, raster.centres.reshape(-1, 2))
     rays = device.pose.rotate(rays)
     pixels_of: dict[str, Floats] = {}
-    found: list[Floats] = []
+    camera_depths: list[Floats] = []
     variances: list[Floats] = []
     chances: list[Floats] = []
     for camera, matches in by_camera.items():
@@ -79,10 +79,10 @@ def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Ma
         by_px = np.linalg.norm(np.einsum("hwij,hwi->hwj", at.by_own, by_camera_px), axis=-1).ravel()
         by_chance = by_px**2 * noise.match_px**2 / np.maximum(at.count.ravel(), 1)
         pixels_of[camera] = at.pixels
-        found.append(depth.ravel())
+        camera_depths.append(depth.ravel())
         chances.append(by_chance)
         variances.append(by_chance + by_px**2 * noise.systematic_px**2)
-    depth, variance = np.stack(found), np.stack(variances)
+    depth, variance = np.stack(camera_depths), np.stack(variances)
     weight = np.where(np.isfinite(depth), 1 / variance, 0.0)
     total = weight.sum(axis=0)
     there = total > 0
@@ -110,7 +110,7 @@ def _disagreements(
     variance: Floats,
 ) -> list[DepthDisagreement]:
     """Of each two cameras, in the order of `pixels_of`; depths and their variances by noise, (cameras, cells)."""
-    found, hub, network = [], estimate.names.index(projector), estimate.network
+    disagreements, hub, network = [], estimate.names.index(projector), estimate.network
     for (i, first), (j, second) in combinations(enumerate(pixels_of), 2):
         both = np.isfinite(depth[i]) & np.isfinite(depth[j])
         if np.count_nonzero(both) < _LEAST_SHARED:
@@ -128,5 +128,5 @@ def _disagreements(
         by_devices = np.einsum("nc,cd,nd->n", slopes, estimate.covariance, slopes, optimize=True)
         sigma = np.sqrt(variance[i, some] + variance[j, some] + by_devices)
         expected = float(np.median(2 * sigma / (depth[i, some] + depth[j, some]))) / SIGMA_PER_MEDIAN
-        found.append(DepthDisagreement(first, second, off, expected, int(both.sum()), elsewhere))
-    return found
+        disagreements.append(DepthDisagreement(first, second, off, expected, int(both.sum()), elsewhere))
+    return disagreements

@@ -157,12 +157,12 @@ def pixels_of(matches: Matches, role: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Overlaps:
-    """`rasters` of devices that are part of several pairs; `seen`: by such a device and another one that it shares
+    """`rasters` of devices that are part of several pairs; `sightings`: by such a device and another one that it shares
     matches with.
     """
 
     rasters: Mapping[str, ImageRaster]
-    seen: Mapping[tuple[str, str], SeenAt]
+    sightings: Mapping[tuple[str, str], SeenAt]
 
     @classmethod
     def of(cls, captures: Mapping[PairName, Matches], sizes: Mapping[str, Size]) -> "Overlaps":
@@ -171,39 +171,42 @@ class Overlaps:
         for (camera, projector), matches in captures.items():
             pixels.setdefault(camera, {})[projector] = matches.camera_px, matches.projector_px
             pixels.setdefault(projector, {})[camera] = matches.projector_px, matches.camera_px
-        shared = {hub: others for hub, others in pixels.items() if len(others) > 1}
-        rasters = {hub: ImageRaster.fine(sizes[hub], [own for own, _ in each.values()]) for hub, each in shared.items()}
-        seen = {
-            (hub, other): SeenAt.of(rasters[hub], *each)
-            for hub, others in shared.items()
-            for other, each in others.items()
+        shared = {hub: partners for hub, partners in pixels.items() if len(partners) > 1}
+        rasters = {
+            hub: ImageRaster.fine(sizes[hub], [own for own, _ in by_partner.values()])
+            for hub, by_partner in shared.items()
         }
-        return cls(rasters, seen)
+        sightings = {
+            (hub, partner): SeenAt.of(rasters[hub], *pixels_there)
+            for hub, partners in shared.items()
+            for partner, pixels_there in partners.items()
+        }
+        return cls(rasters, sightings)
 
     def match_px(self, pair: PairName) -> float:
         """Noise of a pair's matches in projector pixels, by how far they are off their neighbours; NaN if unknown."""
         camera, projector = pair
-        if (camera, projector) in self.seen:
-            return self.seen[camera, projector].noise_px
-        if (projector, camera) not in self.seen:
+        if (camera, projector) in self.sightings:
+            return self.sightings[camera, projector].noise_px
+        if (projector, camera) not in self.sightings:
             return np.nan
-        seen = self.seen[projector, camera]
-        known = np.isfinite(seen.by_own).all(axis=(-2, -1))
-        return seen.noise_px / float(np.sqrt(np.median(np.abs(np.linalg.det(seen.by_own[known])))))
+        sighting = self.sightings[projector, camera]
+        known = np.isfinite(sighting.by_own).all(axis=(-2, -1))
+        return sighting.noise_px / float(np.sqrt(np.median(np.abs(np.linalg.det(sighting.by_own[known])))))
 
     def known_points(
         self, devices: Mapping[str, Device], hub: str, new: str, pairs: Collection[PairName]
     ) -> tuple[Floats, Floats]:
         """Points (N, 3) of the room that pairs with a placed `hub` tell, and the pixels (N, 2) of a `new` device."""
-        raster, seen = self.rasters[hub], self.seen[hub, new]
+        raster, sighting = self.rasters[hub], self.sightings[hub, new]
         depth = np.full((raster.height, raster.width), np.nan)
-        for other in self._partners(hub, pairs):
-            told, _ = depths(devices[hub], devices[other], raster.centres, self.seen[hub, other])
-            depth = np.where(np.isfinite(depth), depth, told)
-        there = np.isfinite(depth) & np.isfinite(seen.pixels).all(axis=-1)
+        for partner in self._partners(hub, pairs):
+            partner_depth, _ = depths(devices[hub], devices[partner], raster.centres, self.sightings[hub, partner])
+            depth = np.where(np.isfinite(depth), depth, partner_depth)
+        there = np.isfinite(depth) & np.isfinite(sighting.pixels).all(axis=-1)
         pose = devices[hub].pose
         rays, _ = unproject(devices[hub].lens, raster.centres[there])
-        return pose @ (depth[there][:, None] * rays), seen.pixels[there]
+        return pose @ (depth[there][:, None] * rays), sighting.pixels[there]
 
     def joints(
         self,
@@ -214,19 +217,19 @@ class Overlaps:
     ) -> Iterator[SharedPoints]:
         """What ties devices where matches are on no plane; of pairs that are `calibrated` alone, what is new."""
         hubs = {hub: self._partners(hub, labelled) for hub in self.rasters if hub in names}
-        hubs = {hub: others for hub, others in hubs.items() if len(others) > 1}
-        for hub, others in hubs.items():
-            found = shared_points(
+        hubs = {hub: partners for hub, partners in hubs.items() if len(partners) > 1}
+        for hub, partners in hubs.items():
+            joint = shared_points(
                 names.index(hub),
                 self.rasters[hub],
-                {names.index(other): self.seen[hub, other] for other in others},
+                {names.index(partner): self.sightings[hub, partner] for partner in partners},
                 self._loose(hub, labelled),
                 network,
-                {names.index(other): 1 + (other in hubs) for other in others},
-                [names.index(other) for other in others if {(hub, other), (other, hub)} & set(calibrated)],
+                {names.index(partner): 1 + (partner in hubs) for partner in partners},
+                [names.index(partner) for partner in partners if {(hub, partner), (partner, hub)} & set(calibrated)],
             )
-            if found is not None:
-                yield found
+            if joint is not None:
+                yield joint
 
     def _partners(self, hub: str, pairs: Collection[PairName]) -> list[str]:
         return [pair[1 - pair.index(hub)] for pair in pairs if hub in pair]

@@ -72,7 +72,7 @@ class SeenAt:
     """Of a match, in the other's pixels, by how far cells are off the mean of their neighbours."""
 
     @classmethod
-    def of(cls, raster: ImageRaster, own: Floats, other: Floats) -> "SeenAt":
+    def of(cls, raster: ImageRaster, own: Floats, partner: Floats) -> "SeenAt":
         """From matches of pixels (N, 2) of the raster's device with the other's."""
         shape, cell = (raster.height, raster.width), raster.cell
         flat, inside = raster.numbers(own)
@@ -83,7 +83,7 @@ class SeenAt:
             with np.errstate(invalid="ignore", divide="ignore"):
                 return (np.stack(sums, axis=1) / count[:, None]).reshape(*shape, 2)
 
-        there, here = mean(other), mean(own)
+        there, here = mean(partner), mean(own)
         across, moved = np.full((*shape, 2, 2), np.nan), np.full((*shape, 2, 2), np.nan)
         for axis in (0, 1):  # along x, along y
             after, before = ((slice(None), slice(2, None)), (slice(None), slice(None, -2)))
@@ -111,7 +111,7 @@ class SeenAt:
         return cls(pixels, by_own, number, median(scatter) / MEDIAN_LENGTH if len(scatter) else np.nan)
 
 
-def depths(own: Device, other: Device, centres: Floats, seen: SeenAt) -> tuple[Floats, Floats]:
+def depths(own: Device, partner: Device, centres: Floats, sighting: SeenAt) -> tuple[Floats, Floats]:
     """Along a device's rays through pixels (h, w, 2), in multiples of rays of z = 1, as another one has it, (h, w).
 
     And its derivatives (h, w, 2) by the other's pixels. NaN where it sees nothing. The depth is where the point is seen
@@ -119,17 +119,17 @@ def depths(own: Device, other: Device, centres: Floats, seen: SeenAt) -> tuple[F
     """
     shape = centres.shape[:2]
     depth, by_px = np.full(shape, np.nan), np.full((*shape, 2), np.nan)
-    at = np.isfinite(seen.pixels).all(axis=-1)
+    at = np.isfinite(sighting.pixels).all(axis=-1)
     if not at.any():
         return depth, by_px
-    pixels = seen.pixels[at]
-    rays, to_other = own.pose.rotate(unproject(own.lens, centres[at])[0]), other.pose.inverse()
-    back, _ = unproject(other.lens, pixels)
-    apart = own.pose.translation - other.pose.translation
-    nearest = nearest_depths(rays, other.pose.rotate(back), apart)[0]
-    turned, beside = to_other.rotate(rays), to_other.rotate(apart)
+    pixels = sighting.pixels[at]
+    rays, to_partner = own.pose.rotate(unproject(own.lens, centres[at])[0]), partner.pose.inverse()
+    back, _ = unproject(partner.lens, pixels)
+    apart = own.pose.translation - partner.pose.translation
+    nearest = nearest_depths(rays, partner.pose.rotate(back), apart)[0]
+    turned, beside = to_partner.rotate(rays), to_partner.rotate(apart)
     for _ in range(_STEPS):
-        predicted, by_point, _ = project(other.lens, nearest[:, None] * turned + beside)
+        predicted, by_point, _ = project(partner.lens, nearest[:, None] * turned + beside)
         along = np.einsum("nij,nj->ni", by_point, turned)
         square = np.sum(along**2, axis=1)
         nearest = nearest + np.sum(along * (pixels - predicted), axis=1) / square

@@ -30,11 +30,11 @@ class SharedPoints:
 
     hub: int
     """Number of the device."""
-    others: tuple[int, ...]
+    partners: tuple[int, ...]
     """Numbers of the other devices."""
     pixels: Floats
     """Of the hub, (M, 2)."""
-    seen: Floats
+    partner_pixels: Floats
     """Pixels of the others, (M, K, 2)."""
     variance: Floats
     """Of each coordinate there, infinite where one does not see the point, (M, K)."""
@@ -48,7 +48,7 @@ class SharedPoints:
     def columns(self, network: Network) -> Ints:
         """Those of the hub, then of all others, (18 (K + 1),)."""
         every = np.arange(network.size, dtype=np.int32)
-        return np.concatenate([every[network.device_columns(device)] for device in (self.hub, *self.others)])
+        return np.concatenate([every[network.device_columns(device)] for device in (self.hub, *self.partners)])
 
     @cached_property
     def freedom(self) -> Ints:
@@ -92,17 +92,17 @@ class SharedPoints:
         (M, K, 2, Q), and which points (M,) are ahead of all devices.
         """
         hub = network.devices[self.hub]
-        others = [network.devices[number] for number in self.others]
+        partners = [network.devices[number] for number in self.partners]
         rays, by_lens, by_warp = hub.rays(self.pixels)
         turned, depth = hub.pose.rotate(rays), self.depths
         known = np.isfinite(self.variance)
         for _ in range(_STEPS):
-            off, by_depth, _ = self._predicted(others, hub, turned, depth)
+            off, by_depth, _ = self._predicted(partners, hub, turned, depth)
             weighted = by_depth / self.variance[..., None]
             square = np.sum(weighted * by_depth, axis=(1, 2))
             step = np.sum(weighted * off, axis=(1, 2)) / np.maximum(square, 1e-300)
             depth = np.where(depth - step > 0.2 * depth, depth - step, 0.2 * depth)
-        off, by_depth, before = self._predicted(others, hub, turned, depth)
+        off, by_depth, before = self._predicted(partners, hub, turned, depth)
         ahead = (depth > 0) & ((before[..., 2] > 0) | ~known).all(axis=1)
         by_hub = np.concatenate(
             [
@@ -113,11 +113,11 @@ class SharedPoints:
             ],
             axis=2,
         )
-        jacobian = np.zeros((*off.shape, PER_NODE * (1 + len(others))))
-        for k, other in enumerate(others):
-            _, by_point, by_lens, by_warp = other.pixels(before[:, k])
-            to_pixels = by_point @ other.pose.rotation.T
-            points = other.pose.rotate(before[:, k])
+        jacobian = np.zeros((*off.shape, PER_NODE * (1 + len(partners))))
+        for k, partner in enumerate(partners):
+            _, by_point, by_lens, by_warp = partner.pixels(before[:, k])
+            to_pixels = by_point @ partner.pose.rotation.T
+            points = partner.pose.rotate(before[:, k])
             jacobian[:, k, :, :PER_NODE] = to_pixels @ by_hub
             own = jacobian[:, k, :, PER_NODE * (k + 1) : PER_NODE * (k + 2)]
             own[..., :PER_DEVICE], own[..., WARP] = by_lens, by_warp
@@ -132,16 +132,16 @@ class SharedPoints:
         return off, by_depth, jacobian, ahead
 
     def _predicted(
-        self, others: list[Device], hub: Device, turned: Floats, depth: Floats
+        self, partners: list[Device], hub: Device, turned: Floats, depth: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Off (M, K, 2) at some depths, the derivatives by these, and the points (M, K, 3) in the others' frames."""
         points = hub.pose.translation + depth[:, None] * turned
-        before = np.stack([device.pose.undo(points) for device in others], axis=1)
-        off, by_depth = np.zeros_like(self.seen), np.zeros_like(self.seen)
+        before = np.stack([device.pose.undo(points) for device in partners], axis=1)
+        off, by_depth = np.zeros_like(self.partner_pixels), np.zeros_like(self.partner_pixels)
         known = np.isfinite(self.variance)
-        for k, device in enumerate(others):
+        for k, device in enumerate(partners):
             predicted, by_point, _, _ = device.pixels(before[:, k])
-            off[:, k] = np.where(known[:, k, None], predicted - self.seen[:, k], 0.0)
+            off[:, k] = np.where(known[:, k, None], predicted - self.partner_pixels[:, k], 0.0)
             by_depth[:, k] = np.einsum("mij,mj->mi", by_point, device.pose.inverse().rotate(turned))
         by_depth[~known] = 0.0
         return np.nan_to_num(off), np.nan_to_num(by_depth), before
@@ -159,7 +159,7 @@ def _slope_of_depth(weight: Floats, by_depth: Floats, jacobian: Floats) -> Float
 def shared_points(
     hub: int,
     raster: ImageRaster,
-    seen: Mapping[int, SeenAt],
+    sightings: Mapping[int, SeenAt],
     loose: Bools,
     network: Network,
     repeats: Mapping[int, int],
@@ -167,38 +167,39 @@ def shared_points(
 ) -> SharedPoints | None:
     """Of the cells `loose` (h, w) that two devices or more see; None of too few.
 
-    `seen`: by number of the other device. `repeats`: how many hubs each one's matches are counted in. `along`: the
+    `sightings`: by number of the other device. `repeats`: how many hubs each one's matches are counted in. `along`: the
     others as of `SharedPoints`. Variances are as much larger than noise as the residuals show, and as errors that are
     alike over blocks show.
     """
-    others = tuple(seen)
-    there = np.stack([np.isfinite(seen[k].pixels).all(axis=-1) for k in others], axis=-1) & loose[..., None]
+    partners = tuple(sightings)
+    there = np.stack([np.isfinite(sightings[k].pixels).all(axis=-1) for k in partners], axis=-1) & loose[..., None]
     several = there.sum(axis=-1) > 1
     row, column = np.unravel_index(evenly(several.ravel(), _MOST), several.shape)
     if len(row) < _FEWEST:
         return None
-    every = [depths(network.devices[hub], network.devices[k], raster.centres, seen[k]) for k in others]
-    depth = np.stack([each[0][row, column] for each in every], axis=1)
-    sensitive = np.stack([np.linalg.norm(each[1][row, column], axis=1) for each in every], axis=1)
+    every = [depths(network.devices[hub], network.devices[k], raster.centres, sightings[k]) for k in partners]
+    depth = np.stack([partner_depths[0][row, column] for partner_depths in every], axis=1)
+    sensitive = np.stack([np.linalg.norm(partner_depths[1][row, column], axis=1) for partner_depths in every], axis=1)
     depth[~there[row, column]] = np.nan
     first = np.take_along_axis(depth, np.argmin(np.where(np.isfinite(depth), sensitive, np.inf), axis=1)[:, None], 1)
     good = np.isfinite(first[:, 0])
     if np.count_nonzero(good) < _FEWEST:
         return None
     row, column = row[good], column[good]
-    pixels = np.stack([seen[k].pixels[row, column] for k in others], axis=1)
+    pixels = np.stack([sightings[k].pixels[row, column] for k in partners], axis=1)
     variance = np.stack(
-        [repeats[k] * seen[k].noise_px ** 2 / np.maximum(seen[k].count[row, column], 1) for k in others], axis=1
+        [repeats[k] * sightings[k].noise_px ** 2 / np.maximum(sightings[k].count[row, column], 1) for k in partners],
+        axis=1,
     )
     known = there[row, column]
     shared = SharedPoints(
         hub,
-        others,
+        partners,
         raster.centres[row, column],
         np.where(known[..., None], pixels, 0.0),
         np.where(known, variance, np.inf),
         first[good, 0],
-        tuple(k in along for k in others) if along else (),
+        tuple(k in along for k in partners) if along else (),
     )
     relative, across = shared.relative(network)
     larger = max(1.0, float(np.median(relative)))

@@ -52,14 +52,14 @@ _FOR_NOISE, _ENOUGH = 1e-3, 1.0  # tolerance of fits, the former of their cost
 class SameLens:
     """Two devices, by number, that are one in two places."""
 
-    one: int
-    other: int
+    first: int
+    second: int
 
     def misfit(self, network: Network) -> Term:
         """Of the difference of both lenses."""
-        first, second = (network.devices[device].lens for device in (self.one, self.other))
+        first, second = (network.devices[device].lens for device in (self.first, self.second))
         off = np.array([np.log(second[0] / first[0]), *(second - first)[1:]]) / _SAME
-        columns = [np.r_[network.device_columns(device)][:PER_DEVICE] for device in (self.one, self.other)]
+        columns = [np.r_[network.device_columns(device)][:PER_DEVICE] for device in (self.first, self.second)]
         return Term.gaussian(np.concatenate(columns), off, np.hstack([-np.diag(1 / _SAME), np.diag(1 / _SAME)]))
 
 
@@ -96,14 +96,14 @@ def _with_device(sight: PlaneObservation, role: int, number: int) -> PlaneObserv
     return replace(sight, projector=number) if role else replace(sight, camera=number)
 
 
-def likeliest(usual: Explanation, others: Sequence[Explanation]) -> Explanation:
+def likeliest(usual: Explanation, alternatives: Sequence[Explanation]) -> Explanation:
     """The one of the least criterion; `usual`, unless another one is likelier by far."""
-    count = _independent(min([usual, *others], key=lambda explanation: explanation.fit.cost))
+    count = _independent(min([usual, *alternatives], key=lambda explanation: explanation.fit.cost))
 
     def criterion(explanation: Explanation) -> float:
         return count * math.log(explanation.fit.cost) + explanation.parameters * math.log(count)
 
-    best = min(others, key=criterion, default=usual)
+    best = min(alternatives, key=criterion, default=usual)
     return best if criterion(best) < criterion(usual) - _FAR_LIKELIER else usual
 
 

@@ -60,11 +60,11 @@ class PlaneRelief:
             cost = _BEHIND * behind + float(amplitudes @ amplitudes) / self.steepness**2
             normal, pull = np.eye(count) / self.steepness**2, np.zeros(count)
             across, slope, information = np.zeros((count, size)), np.zeros(size), np.zeros((size, size))
-            left = []
+            residuals = []
             for off, jacobian, good, variance, modes, own in sights:
                 by_height = jacobian[:, :, -1]
                 rest = off + by_height * (modes @ amplitudes)[:, None]
-                left.append(rest)
+                residuals.append(rest)
                 deviation = np.linalg.norm(rest, axis=1) / np.sqrt(variance)
                 cost += float(np.sum(huber_loss(deviation, ROBUST_SIGMAS)))
                 weight = huber_weights(deviation, ROBUST_SIGMAS) * good / variance
@@ -83,19 +83,19 @@ class PlaneRelief:
         information -= across.T @ inverse @ across
         # The heights are nearly, not exactly, the likeliest.
         slope -= across.T @ (inverse @ (pull + amplitudes / self.steepness**2))
-        return Heights(amplitudes, inverse, across, tuple(left), Term(cost, slope, information, columns))
+        return Heights(amplitudes, inverse, across, tuple(residuals), Term(cost, slope, information, columns))
 
 
 @dataclass(frozen=True, eq=False)
 class Heights:
     """`amplitudes` (K,), their covariance (K, K) `alone`, if the network were known, and what they have in common with
-    the network's columns that the misfit depends on, (K, Q). `left`: residuals (M, 2) of each sight.
+    the network's columns that the misfit depends on, (K, Q). `residuals`: (M, 2) of each sight.
     """
 
     amplitudes: Floats
     alone: Floats
     across: Floats
-    left: tuple[Floats, ...]
+    residuals: tuple[Floats, ...]
     misfit: Term
 
     def told(self, steepness: float, covariance: Floats) -> float:
@@ -114,25 +114,28 @@ def surfaces_of(problem: NetworkProblem, fit: Fit[Network]) -> tuple[PlaneRelief
         own = [i for i, sight in enumerate(sights) if sight.plane == plane]
         modes = modes_over([sights[i].points(fit.state) for i in own], flat.normal, _MARGIN)
         reliefs.append(PlaneRelief(tuple(sights[i] for i in own), tuple(variances[i] for i in own), tuple(modes), 1.0))
-        for i, each in zip(own, modes, strict=True):
+        for i, sight_modes in zip(own, modes, strict=True):
             by_height = sights[i].predict(fit.state)[1][:, :, -1]
             heights = np.sum(by_height * fit.residuals[i], axis=1) / np.sum(by_height**2, axis=1)
-            squares.append(np.median(heights**2) / np.mean(np.sum(each**2, axis=1)))
+            squares.append(np.median(heights**2) / np.mean(np.sum(sight_modes**2, axis=1)))
     steepness = float(np.sqrt(4 * np.max(squares)))
-    return tuple(replace(each, steepness=steepness) for each in reliefs)
+    return tuple(replace(relief, steepness=steepness) for relief in reliefs)
 
 
 def likeliest_steepness(
     surfaces: Sequence[PlaneRelief], solved: Sequence[Heights], covariance: Floats
 ) -> tuple[list[float], float]:
     """Of each; and how many amplitudes the cells tell of all of them. `covariance` (size, size): of the network."""
-    told = [heights.told(each.steepness, covariance) for each, heights in zip(surfaces, solved, strict=True)]
-    squares = [float(heights.amplitudes @ heights.amplitudes) for heights in solved]
-    of_all = _AS_ALL * sum(squares) / max(sum(told), 1e-9)
-    steepness = [
-        float(np.sqrt((square + of_all) / (each + _AS_ALL))) for square, each in zip(squares, told, strict=True)
+    effective_counts = [
+        heights.told(surface.steepness, covariance) for surface, heights in zip(surfaces, solved, strict=True)
     ]
-    return steepness, sum(told)
+    squares = [float(heights.amplitudes @ heights.amplitudes) for heights in solved]
+    of_all = _AS_ALL * sum(squares) / max(sum(effective_counts), 1e-9)
+    steepness = [
+        float(np.sqrt((square + of_all) / (count + _AS_ALL)))
+        for square, count in zip(squares, effective_counts, strict=True)
+    ]
+    return steepness, sum(effective_counts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +176,7 @@ class Weights:
         remaining = [
             (sight, residual)
             for surface, heights in zip(self.surfaces, solved, strict=True)
-            for sight, residual in zip(surface.sights, heights.left, strict=True)
+            for sight, residual in zip(surface.sights, heights.residuals, strict=True)
         ]
         absorbed = (np.count_nonzero(problem.free) + determined) / len(problem.parts)
         stations = []

@@ -39,7 +39,7 @@ def test_the_gradient_matches_the_cost(along: tuple[bool, ...]) -> None:
     rng = np.random.default_rng(0)
     network, shared = made(rng, 0.5)
     if along:
-        arrays = {name: getattr(shared, name)[5:] for name in ("pixels", "seen", "variance", "depths")}
+        arrays = {name: getattr(shared, name)[5:] for name in ("pixels", "partner_pixels", "variance", "depths")}
         shared = replace(shared, **arrays, along=along)
         assert (shared.freedom == 3 - sum(along)).all()
     columns = shared.columns(network)
