@@ -58,8 +58,8 @@ def _growth(problem: SceneProblem, fit: SceneFit) -> Floats:
 
     A point follows both, in its own way: each is given the degrees of freedom that it has left.
     """
-    left = problem.residuals(fit.scene).freedom(problem.observations)
-    length = np.linalg.norm(fit.residual.reshape(-1, 2, 2), axis=2) / np.sqrt(np.maximum(left, _LEAST_FREEDOM) / 2)
+    freedom = problem.residuals(fit.scene).freedom(problem.observations)
+    length = np.linalg.norm(fit.residual.reshape(-1, 2, 2), axis=2) / np.sqrt(np.maximum(freedom, _LEAST_FREEDOM) / 2)
     located = problem.observations.is_located
     of_keypoints = np.median(length[located, 0]) if located.any() else MEDIAN_LENGTH  # those of surfaces have none
     medians = np.array([of_keypoints, np.median(length[:, 1])])

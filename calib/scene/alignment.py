@@ -79,9 +79,9 @@ def align(scene: RigidScene, views: Sequence[MatchedView]) -> tuple[SceneObserva
     is_free = [_inside(view) for view in views]
     pieces, points = [NOTHING_OBSERVED], [np.zeros((0, 3))]
 
-    def add(number: int, patches: _Patches, seen: SceneObservations) -> None:
-        chosen, point = np.unique(seen.point, return_inverse=True)
-        pieces.append(replace(seen, point=point + sum(map(len, points))))
+    def add(number: int, patches: _Patches, observed: SceneObservations) -> None:
+        chosen, point = np.unique(observed.point, return_inverse=True)
+        pieces.append(replace(observed, point=point + sum(map(len, points))))
         points.append(scene.stations[number].inverse() @ patches.points[chosen])
 
     for number, view in enumerate(views):
@@ -110,17 +110,17 @@ def _tracked(
     Ordered by `point`, the patch's number. Those that no other station sees are left out.
     """
     pieces = [NOTHING_OBSERVED]
-    for other, view in enumerate(views):
-        if other == number:
+    for station, view in enumerate(views):
+        if station == number:
             continue
-        motion = scene.stations[other] @ scene.stations[number].inverse()
+        motion = scene.stations[station] @ scene.stations[number].inverse()
         projected = _projected(scene.rig, motion, patches, view)
         if not len(projected):
             continue
         pixels, sigma = projected.camera_px, np.full(len(projected), ANYWHERE_PX)
         if pictures is not None:
             own_px = patches.camera_px[projected.number]
-            shift, sigma = _shifts(pictures[number], pictures[other], own_px, projected)
+            shift, sigma = _shifts(pictures[number], pictures[station], own_px, projected)
             pixels = pixels + shift
         lifted = lift(view.places, pixels)
         if pictures is None:
@@ -128,16 +128,16 @@ def _tracked(
         else:
             _, rms, noise = quadratic_maps(view.places, pixels, _HALF)
             kept = lifted.is_smooth & np.isfinite(sigma) & _is_one_surface(rms, noise)
-        pieces.append(_observations(projected.number, other, pixels, lifted, sigma)[kept])
-    others = SceneObservations.joined(pieces)
-    chosen, point = np.unique(others.point, return_inverse=True)
+        pieces.append(_observations(projected.number, station, pixels, lifted, sigma)[kept])
+    tracked = SceneObservations.joined(pieces)
+    chosen, point = np.unique(tracked.point, return_inverse=True)
     own_sigma = np.full(len(chosen), CHOSEN_PX)
     if pictures is not None:  # half of an alignment's variance is this picture's
-        others = replace(others, keypoint_px=others.keypoint_px / np.sqrt(2))
+        tracked = replace(tracked, keypoint_px=tracked.keypoint_px / np.sqrt(2))
         own_sigma[:] = np.inf
-        np.minimum.at(own_sigma, point, others.keypoint_px)
+        np.minimum.at(own_sigma, point, tracked.keypoint_px)
     own = _observations(chosen, number, patches.camera_px[chosen], patches.lifted[chosen], own_sigma)
-    return SceneObservations.joined([own, others])
+    return SceneObservations.joined([own, tracked])
 
 
 def _observations(point: Ints, station: int, pixels: Floats, lifted: Lifted, sigma: Floats) -> SceneObservations:
@@ -260,7 +260,7 @@ def _projected(rig: State, motion: Pose, patches: _Patches, view: MatchedView) -
     return _Projected(number, pixels[number], warp[number], around_px.reshape(*patches.around[number].shape[:2], 2))
 
 
-def _shifts(own: Floats32, other: Floats32, own_px: Floats, projected: _Projected) -> tuple[Floats, Floats]:
+def _shifts(own: Floats32, target: Floats32, own_px: Floats, projected: _Projected) -> tuple[Floats, Floats]:
     """Shifts (M, 2) of patches around `own_px` (M, 2) in another picture, and their standard deviations (M,), which are
     infinite where the pictures do not fit.
 
@@ -280,7 +280,7 @@ def _shifts(own: Floats32, other: Floats32, own_px: Floats, projected: _Projecte
     there = monomials(*offsets.T) @ (np.linalg.pinv(monomials(*_STENCIL.T)) @ projected.around)
     shift = np.zeros_like(own_px)
     for _ in range(_STEPS):
-        level = _sampled(other, there + shift[:, None])
+        level = _sampled(target, there + shift[:, None])
         terms = (inverse @ (root * level)[..., None])[..., 0]
         has_gain = terms[:, 2] > _LEAST_GAIN
         step = np.where(has_gain[:, None], -terms[:, :2] / np.maximum(terms[:, 2:3], _LEAST_GAIN), 0.0)

@@ -127,11 +127,11 @@ def calibrate_scene(
 
 def _by_keypoints(views: Sequence[MatchedView], knowledge: Knowledge) -> "list[_Solution]":
     """What the best starts lead to; nothing if pictures have too little in common."""
-    seen = [with_keypoints(view) for view in views]
-    pairs = matched_pairs(seen)
+    keypoint_views = [with_keypoints(view) for view in views]
+    pairs = matched_pairs(keypoint_views)
     point = knowledge.lenses[1].point
     starts = starts_of(
-        seen,
+        keypoint_views,
         pairs,
         (knowledge.camera_size, knowledge.projector_size),
         np.array(knowledge.principal_point_px),
@@ -140,7 +140,7 @@ def _by_keypoints(views: Sequence[MatchedView], knowledge: Knowledge) -> "list[_
     different = distinct(len(starts), lambda k: np.array([_is_near(starts[k], start) for start in starts]), _TRIALS)
     solved: list[_Solution] = []
     for k in different:
-        solution = _follow(starts[k], seen, pairs, knowledge)
+        solution = _follow(starts[k], keypoint_views, pairs, knowledge)
         if solution is not None:
             is_known = any(intrinsic_distance(solution.rig, known.rig)[:2].max() < _SAME_SOLUTION for known in solved)
             solved.append(solution)
@@ -235,16 +235,16 @@ def _calibrated(
     if sharp is None:
         raise nothing_common(len(scene.points), len(places), len(views))
     stations = tuple(places[k] for k in sharp.members)
-    found = _concluded(sharp.problem, sharp.fit, stations, (knowledge.camera_size, knowledge.projector_size))
+    calibration = _concluded(sharp.problem, sharp.fit, stations, (knowledge.camera_size, knowledge.projector_size))
     try:
-        refuse_undetermined(sharp.problem, sharp.fit, found.uncertainty)
+        refuse_undetermined(sharp.problem, sharp.fit, calibration.uncertainty)
         if doubt is not None:
             raise doubt
     except RefusalError as refusal:
         if not provisional or len(stations) == len(views):
             raise
-        return replace(found, leaves_open=refusal)
-    return found
+        return replace(calibration, leaves_open=refusal)
+    return calibration
 
 
 def _moving(captures: Sequence[tuple[Matches, Image]], camera_size: tuple[int, int]) -> list[MatchedView]:

@@ -33,16 +33,16 @@ def measure_drift(problem: SceneProblem, scene: RigidScene) -> float:
     assert scene.shift_px is not None
     fit = problem.evaluate(scene)
     shifts = scene.columns.of_shifts.ravel()
-    others = np.setdiff1d(scene.columns.free(problem.prior), shifts)
-    following = inverse_of(fit.information[np.ix_(others, others)]) @ fit.information[np.ix_(others, shifts)]
-    left = fit.information[np.ix_(shifts, shifts)] - fit.information[np.ix_(shifts, others)] @ following
+    remaining = np.setdiff1d(scene.columns.free(problem.prior), shifts)
+    following = inverse_of(fit.information[np.ix_(remaining, remaining)]) @ fit.information[np.ix_(remaining, shifts)]
+    shift_information = fit.information[np.ix_(shifts, shifts)] - fit.information[np.ix_(shifts, remaining)] @ following
     own = np.zeros((scene.size, len(shifts)))
-    own[shifts], own[others] = np.eye(len(shifts)), -following
-    pull = left @ scene.shift_px.ravel() - fit.gradient @ own
-    inverse = np.linalg.pinv(left, rcond=_LEAST_SHARE, hermitian=True)
+    own[shifts], own[remaining] = np.eye(len(shifts)), -following
+    pull = shift_information @ scene.shift_px.ravel() - fit.gradient @ own
+    inverse = np.linalg.pinv(shift_information, rcond=_LEAST_SHARE, hermitian=True)
     gain = float(pull @ inverse @ pull)
     by_chance = float(np.trace(inverse @ _scatter(problem, scene, own)))
-    return float(np.sqrt(max(gain - by_chance, 0.0) / max(float(np.trace(left)), 1e-300)))
+    return float(np.sqrt(max(gain - by_chance, 0.0) / max(float(np.trace(shift_information)), 1e-300)))
 
 
 def drift_findings(drift_px: float) -> tuple[Finding, ...]:

@@ -52,10 +52,10 @@ def best_next_station(problem: SceneProblem, fit: SceneFit, covariance: Floats) 
         for turn_deg in (-TURN_DEG, TURN_DEG):
             rotation = rotation_about(np.radians(turn_deg) * np.eye(3)[axis])
             turned = Pose(rotation, middle - rotation @ middle) @ newest
-            seen = _predicted(problem, fit, turned)
-            if np.count_nonzero(seen.station == len(scene.stations)) < FEWEST_POINTS:
+            observations = _predicted(problem, fit, turned)
+            if np.count_nonzero(observations.station == len(scene.stations)) < FEWEST_POINTS:
                 continue
-            predicted = replace(problem, observations=seen).evaluate(scene.with_station(turned))
+            predicted = replace(problem, observations=observations).evaluate(scene.with_station(turned))
             after = problem.covariance(predicted)
             spread = float(np.linalg.slogdet(after[np.ix_(_INTRINSIC, _INTRINSIC)])[1])
             if spread < least:

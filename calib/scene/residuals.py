@@ -110,8 +110,8 @@ class Residuals:
         own, _ = self.of_points(observations)
         spread = np.linalg.solve(own[observations.point], self.across)
         leverage = np.einsum("mri,mir->mr", self.by_point, spread)
-        left: Floats = 2 - leverage.reshape(-1, 2, 2).sum(axis=2)
-        return left
+        freedom: Floats = 2 - leverage.reshape(-1, 2, 2).sum(axis=2)
+        return freedom
 
     def by_points(self, observations: SceneObservations) -> tuple[Floats, Floats, Floats]:
         """Half the points' own curvature (N, 3, 3), half the gradient (N, 3), and mixed derivatives (N, 3, size)."""
@@ -137,27 +137,27 @@ class Residuals:
             yield columns, self.by_station[own][..., of_station], own
 
 
-def residuals_of(scene: RigidScene, seen: SceneObservations, spread: ErrorScales) -> Residuals:
+def residuals_of(scene: RigidScene, observations: SceneObservations, spread: ErrorScales) -> Residuals:
     """Those of all observations of a scene."""
     rig, pose = scene.rig, scene.rig.pose
-    stations = Pose.stack(scene.stations)[seen.station]
-    turned = np.einsum("mij,mj->mi", stations.rotation, scene.points[seen.point])
+    stations = Pose.stack(scene.stations)[observations.station]
+    turned = np.einsum("mij,mj->mi", stations.rotation, scene.points[observations.point])
     at_camera = turned + stations.translation
     at_projector = pose @ at_camera
     behind = ~((at_camera[:, 2] > 0) & (at_projector[:, 2] > 0))
     ahead_camera, ahead_projector = (np.where(behind[:, None], [0.0, 0.0, 1.0], x) for x in (at_camera, at_projector))
     camera_px, by_seen, by_camera = lens.project(rig.camera, ahead_camera)
     projector_px, by_lit, by_projector = lens.project(rig.projector, ahead_projector)
-    residual = np.empty((len(seen.point), _ROWS))
+    residual = np.empty((len(observations.point), _ROWS))
     by_place = np.empty((len(residual), _ROWS, 3))  # in the station's camera frame
-    on_camera, slope = camera_px - seen.camera_px, seen.slope
+    on_camera, slope = camera_px - observations.camera_px, observations.slope
     residual[:, :2] = on_camera
     if scene.shift_px is not None:
-        projector_px = projector_px + scene.shift_px[seen.station]
-    residual[:, 2:] = projector_px - seen.projector_px - np.einsum("mij,mj->mi", slope, on_camera)
+        projector_px = projector_px + scene.shift_px[observations.station]
+    residual[:, 2:] = projector_px - observations.projector_px - np.einsum("mij,mj->mi", slope, on_camera)
     by_place[:, :2], by_place[:, 2:] = by_seen, by_lit @ pose.rotation - slope @ by_seen
-    keypoint_px = np.where(seen.is_located, spread.keypoint, 1.0) * seen.keypoint_px
-    sigma = np.stack([keypoint_px] * 2 + [spread.lifted * seen.sigma_px] * 2, axis=1)
+    keypoint_px = np.where(observations.is_located, spread.keypoint, 1.0) * observations.keypoint_px
+    sigma = np.stack([keypoint_px] * 2 + [spread.lifted * observations.sigma_px] * 2, axis=1)
     root = np.where(behind[:, None], 0.0, 1 / sigma)
     by_place *= root[..., None]
 
@@ -213,14 +213,16 @@ def missed(rig: State, matches: Matches, scale: float) -> tuple[Floats, Floats, 
     return miss, by_shared, by_shift
 
 
-def missed_at_stations(scene: RigidScene, seen: StationMatches, spread: ErrorScales) -> tuple[Floats, Floats]:
+def missed_at_stations(
+    scene: RigidScene, station_matches: StationMatches, spread: ErrorScales
+) -> tuple[Floats, Floats]:
     """Distances (L,) of stations' projector pixels from their epipolar lines, in sigmas, and derivatives (L, size)."""
-    matches = seen.matches
+    matches = station_matches.matches
     if scene.shift_px is not None:
-        matches = replace(matches, projector_px=matches.projector_px - scene.shift_px[seen.station])
+        matches = replace(matches, projector_px=matches.projector_px - scene.shift_px[station_matches.station])
     miss, by_shared, by_shift = missed(scene.rig, matches, spread.matches)
     by_columns = np.zeros((len(miss), scene.size))
     by_columns[:, :SHARED] = by_shared
     if scene.shift_px is not None:
-        by_columns[np.arange(len(miss))[:, None], scene.columns.of_shifts[seen.station]] = by_shift
+        by_columns[np.arange(len(miss))[:, None], scene.columns.of_shifts[station_matches.station]] = by_shift
     return miss, by_columns

@@ -89,10 +89,10 @@ def fundamental_of(views: Sequence[MatchedView]) -> Floats | None:
     if len(matches) < 50:
         return None
     cv2.setRNGSeed(0)
-    found, _ = cv2.findFundamentalMat(
+    fundamental, _ = cv2.findFundamentalMat(
         matches.camera_px, matches.projector_px, cv2.USAC_MAGSAC, _ON_LINE_PX, 0.9999, 5000
     )
-    return None if found is None or found.shape != (3, 3) else np.asarray(found, np.float64)
+    return None if fundamental is None or fundamental.shape != (3, 3) else np.asarray(fundamental, np.float64)
 
 
 def relative_pose(

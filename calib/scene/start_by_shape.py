@@ -166,12 +166,12 @@ class _Surfaces:
 
 def start_by_shape(views: Sequence[MatchedView], knowledge: Knowledge) -> ShapeStart | None:
     """The rig under which the surfaces of three or more stations coincide best; None if there is none."""
-    found = [(k, surface) for k, view in enumerate(views) if (surface := lifted_surface(view)) is not None]
+    surface_views = [(k, surface) for k, view in enumerate(views) if (surface := lifted_surface(view)) is not None]
     fundamental = fundamental_of(views)
-    if fundamental is None or len(found) < FEWEST_STATIONS:
+    if fundamental is None or len(surface_views) < FEWEST_STATIONS:
         return None
     matches = some_matches([view.matches for view in views], _LINES // len(views))
-    surfaces = _Surfaces([surface for _, surface in found], matches, knowledge)
+    surfaces = _Surfaces([surface for _, surface in surface_views], matches, knowledge)
     placed = [surfaces.placed(rig, _AT_ONCE) for rig in surfaces.trials(fundamental)]
     trials = [trial for trial in placed if trial is not None]
     cost_px = [trial.coincidence(surfaces.near_px).cost_px(surfaces.near_px) for trial in trials]
@@ -184,17 +184,17 @@ def start_by_shape(views: Sequence[MatchedView], knowledge: Knowledge) -> ShapeS
             break
     if not solved:
         return None
-    met, best = min(solved, key=lambda each: each[0].cost_px(surfaces.near_px))
+    met, best = min(solved, key=lambda solution: solution[0].cost_px(surfaces.near_px))
     rivals = [
         trial.rig
-        for other, trial in solved
-        if _is_as_good(other, met, surfaces.near_px) and not _have_same_focal(trial.rig, best.rig)
+        for rival, trial in solved
+        if _is_as_good(rival, met, surfaces.near_px) and not _have_same_focal(trial.rig, best.rig)
     ]
-    if len(found) > _AT_ONCE:
-        every = surfaces.placed(best.rig, len(found))
+    if len(surface_views) > _AT_ONCE:
+        every = surfaces.placed(best.rig, len(surface_views))
         best = best if every is None else surfaces.followed(every)
-    sliding = [found[k][0] for own, k in enumerate(best.numbers) if surfaces.slides(best, own)]
-    poses = {found[k][0]: pose for k, pose in zip(best.numbers, best.poses, strict=True)}
+    sliding = [surface_views[k][0] for own, k in enumerate(best.numbers) if surfaces.slides(best, own)]
+    poses = {surface_views[k][0]: pose for k, pose in zip(best.numbers, best.poses, strict=True)}
     return ShapeStart(best.rig, poses, tuple(rivals), tuple(sliding))
 
 
@@ -207,12 +207,12 @@ def _other_poses(rig: State, first: Shape, second: Shape, known: Pose) -> list[P
     return [poses[k] for k in np.flatnonzero(is_other)[:_MOST_OTHERS]]
 
 
-def _is_as_good(one: Coincidence, other: Coincidence, near_px: float, station: int | None = None) -> bool:
+def _is_as_good(candidate: Coincidence, reference: Coincidence, near_px: float, station: int | None = None) -> bool:
     """Whether one brings about as much of the surfaces, of a station or all, as near as another."""
-    is_as_much = one.share_within(near_px, station) > _AS_MUCH * other.share_within(near_px, station)
-    noise_px = float(np.median(other.observations.sigma_px)) if len(other.points) else 0.0
-    apart_px = max(other.median_px(near_px, station), noise_px)  # descents end as near as that at best
-    return is_as_much and one.median_px(near_px, station) < _AS_NEAR * apart_px
+    is_as_much = candidate.share_within(near_px, station) > _AS_MUCH * reference.share_within(near_px, station)
+    noise_px = float(np.median(reference.observations.sigma_px)) if len(reference.points) else 0.0
+    apart_px = max(reference.median_px(near_px, station), noise_px)  # descents end as near as that at best
+    return is_as_much and candidate.median_px(near_px, station) < _AS_NEAR * apart_px
 
 
 def _have_same_focal(rig: State, reference: State) -> bool:

@@ -95,14 +95,14 @@ def lifted_surface(view: MatchedView) -> LiftedSurface | None:
     height, width = view.places.shape[:2]
     step = max(1, width // _ACROSS)
     column, row = np.meshgrid(np.arange(step // 2, width, step), np.arange(step // 2, height, step))
-    seen = np.isfinite(view.places[row, column, 0])
-    pixels = np.stack([column[seen], row[seen]], axis=1).astype(np.float64)
+    measured = np.isfinite(view.places[row, column, 0])
+    pixels = np.stack([column[measured], row[measured]], axis=1).astype(np.float64)
     lifted = lift(view.places, pixels)
     kept = lifted.is_smooth
     if np.count_nonzero(kept) < _FEWEST_CELLS:
         return None
-    number = np.full(seen.shape, -1)
-    number[seen] = np.where(kept, np.cumsum(kept) - 1, -1)
+    number = np.full(measured.shape, -1)
+    number[measured] = np.where(kept, np.cumsum(kept) - 1, -1)
     return LiftedSurface(pixels[kept], lifted[kept], number, step)
 
 
@@ -148,12 +148,12 @@ def descended(
 
 def registered(rig: State, shapes: Sequence[Shape]) -> dict[tuple[int, int], tuple[Pose, float]]:
     """By pairs of shapes: X_first = R X_second + t, and its worth in patches."""
-    found = {}
+    registrations = {}
     for i, j in combinations(range(len(shapes)), 2):
         poses, worth = descents(rig, shapes[i], shapes[j])
         if worth[0] > 0:
-            found[i, j] = poses[0], float(worth[0])
-    return found
+            registrations[i, j] = poses[0], float(worth[0])
+    return registrations
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +179,9 @@ class Coincidence:
         within = apart[apart < limit_px]
         return float(np.median(within)) if len(within) else np.inf
 
-    def count(self, limit_px: float, one: int, other: int) -> int:
+    def count(self, limit_px: float, first: int, second: int) -> int:
         """Points of two stations that are that near to the other's surface."""
-        return sum(int(np.count_nonzero(self.apart_px[pair] < limit_px)) for pair in ((one, other), (other, one)))
+        return sum(int(np.count_nonzero(self.apart_px[pair] < limit_px)) for pair in ((first, second), (second, first)))
 
     def cost_px(self, limit_px: float) -> float:
         """The mean distance, none counted as more than a limit."""
@@ -203,25 +203,25 @@ def coincidence(
     pieces, points, apart_px = [NOTHING_OBSERVED], [np.zeros((0, 3))], {}
     for i, shape in enumerate(shapes):
         some, back = at_random(len(shape.points), count), poses[i].inverse()
-        seen = []
-        for j, other in enumerate(shapes):
+        by_target = []
+        for j, target in enumerate(shapes):
             if j != i:
-                apart_px[i, j], observations = _looked_up(rig, poses[j] @ back, shape, some, other, within_px)
-                seen.append(replace(observations, station=np.full(len(observations.point), j)))
-        others = SceneObservations.joined(seen)
-        chosen, point = np.unique(others.point, return_inverse=True)
+                apart_px[i, j], observations = _looked_up(rig, poses[j] @ back, shape, some, target, within_px)
+                by_target.append(replace(observations, station=np.full(len(observations.point), j)))
+        target_observations = SceneObservations.joined(by_target)
+        chosen, point = np.unique(target_observations.point, return_inverse=True)
         own = _observed(shape.surface, chosen, shape.surface.camera_px[chosen], chosen, CHOSEN_PX)
         first = sum(map(len, points))
         pieces += [
             replace(own, point=first + np.arange(len(chosen)), station=np.full(len(chosen), i)),
-            replace(others, point=first + point),
+            replace(target_observations, point=first + point),
         ]
         points.append(back @ shape.points[chosen])
     return Coincidence(SceneObservations.joined(pieces), np.concatenate(points), apart_px)
 
 
 def _looked_up(
-    rig: State, motion: Pose, shape: Shape, some: Ints, other: Shape, within_px: float
+    rig: State, motion: Pose, shape: Shape, some: Ints, target: Shape, within_px: float
 ) -> tuple[Floats, SceneObservations]:
     """`some` cells (N,) of a shape that another should see after a motion X_other = R X_shape + t: how far their
     projector pixels are from those there (M,), and observations of those that are near, numbered by their cells.
@@ -231,16 +231,16 @@ def _looked_up(
     some, places, normals = some[towards], places[towards], normals[towards]
     pixels, _, _ = lens.project(rig.camera, places)
     lit_px, _, _ = lens.project(rig.projector, rig.pose @ places)
-    height, width = other.surface.number.shape
-    step = other.surface.step
+    height, width = target.surface.number.shape
+    step = target.surface.step
     column, row = np.floor((pixels - step // 2) / step + 0.5).astype(np.int64).T
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    number = np.where(inside, other.surface.number[row * inside, column * inside], -1)
-    expected_px = _projector_px(other.surface, number, pixels)
-    is_same = (number >= 0) & (np.sum(normals * other.normals[number], axis=1) > _LIKE)
+    number = np.where(inside, target.surface.number[row * inside, column * inside], -1)
+    expected_px = _projector_px(target.surface, number, pixels)
+    is_same = (number >= 0) & (np.sum(normals * target.normals[number], axis=1) > _LIKE)
     apart = np.where(is_same, np.linalg.norm(lit_px - expected_px, axis=1), np.inf)
     near = apart < within_px
-    return apart[inside], _observed(other.surface, some[near], pixels[near], number[near], ANYWHERE_PX)
+    return apart[inside], _observed(target.surface, some[near], pixels[near], number[near], ANYWHERE_PX)
 
 
 def _observed(

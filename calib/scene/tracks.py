@@ -43,13 +43,13 @@ def observe(
     `station` numbers the placed stations in their order. A track that has two keypoints of one station is left out.
     """
     offsets = np.cumsum([0, *map(len, views)])
-    ones, others = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    from_keypoints, to_keypoints = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     for (i, j), (_, near) in start.motions.items():
         if i in places and j in places:
             own, matching = pairs[i, j]
-            ones.append(offsets[i] + own[near])
-            others.append(offsets[j] + matching[near])
-    rows, columns = np.concatenate(ones), np.concatenate(others)
+            from_keypoints.append(offsets[i] + own[near])
+            to_keypoints.append(offsets[j] + matching[near])
+    rows, columns = np.concatenate(from_keypoints), np.concatenate(to_keypoints)
     links = scipy.sparse.coo_array((np.ones(len(rows)), (rows, columns)), (offsets[-1], offsets[-1]))
     _, label = scipy.sparse.csgraph.connected_components(links, directed=False)
     keypoint = np.unique(np.concatenate([rows, columns]))
@@ -64,7 +64,7 @@ def observe(
     keypoint, station_of, point = keypoint[by_point], station_of[by_point], point[by_point]
     order = {k: n for n, k in enumerate(places)}
 
-    seen = SceneObservations(
+    observations = SceneObservations(
         point.astype(np.int64),
         np.array([order[k] for k in station_of.tolist()], np.int64),
         np.concatenate([view.camera_px for view in views])[keypoint],
@@ -80,4 +80,4 @@ def observe(
     known = np.isfinite(at_first[:, 2])
     np.add.at(total, point[known], at_first[known])
     np.add.at(weight, point[known], 1.0)
-    return seen, total / np.maximum(weight, 1.0)[:, None]
+    return observations, total / np.maximum(weight, 1.0)[:, None]

@@ -159,14 +159,14 @@ def _resting(maps: Sequence[Floats], number: int) -> Bools:
     x, y = maps[number][..., 0], maps[number][..., 1]
     row, column = np.nonzero(np.isfinite(x))
     x, y = x[row, column], y[row, column]
-    same, seen = np.zeros(len(row), np.int64), np.zeros(len(row), np.int64)
+    same, seen_count = np.zeros(len(row), np.int64), np.zeros(len(row), np.int64)
     for k, places in enumerate(maps):
         if k != number:
-            others = places[row, column]
-            seen += np.isfinite(others[:, 0])
-            same += (np.abs(others[:, 0] - x) < _RESTS_PX) & (np.abs(others[:, 1] - y) < _RESTS_PX)
+            pixels_there = places[row, column]
+            seen_count += np.isfinite(pixels_there[:, 0])
+            same += (np.abs(pixels_there[:, 0] - x) < _RESTS_PX) & (np.abs(pixels_there[:, 1] - y) < _RESTS_PX)
     rests = np.zeros(maps[number].shape[:2], np.bool_)
-    rests[row, column] = (2 * same > seen) & (seen > 0)
+    rests[row, column] = (2 * same > seen_count) & (seen_count > 0)
     return rests
 
 
