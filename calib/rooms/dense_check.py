@@ -51,8 +51,12 @@ def disagreements(matches: Sequence[Matches], estimate: RoomEstimate) -> list[Su
     """Of all pairs that share a surface; `matches`: all of each station's."""
     match_px = [noise.match_px for noise in estimate.levels.stations]
     contacts = find_contacts(matches, estimate.room, match_px, _RADIUS * estimate.reach, SMOOTH)
-    found = [_compared(contact, estimate, (match_px[contact.first], match_px[contact.second])) for contact in contacts]
-    return [each for each in found if each.sigmas > 1 or each.apart > _FAR_SHARE]
+    displacements = [
+        _compared(contact, estimate, (match_px[contact.first], match_px[contact.second])) for contact in contacts
+    ]
+    return [
+        displacement for displacement in displacements if displacement.sigmas > 1 or displacement.apart > _FAR_SHARE
+    ]
 
 
 def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, float]) -> SurfaceDisplacement:
@@ -67,15 +71,15 @@ def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, f
     twist: Floats = np.zeros(PER_POSE)
     variance = alone
     for _ in range(_ROUNDS):
-        left = distances + by_twist @ twist
-        variance = alone * max(1.0, robust_sigma(left / np.sqrt(alone)) ** 2)
-        size = np.abs(left) / np.sqrt(variance)
+        residual = distances + by_twist @ twist
+        variance = alone * max(1.0, robust_sigma(residual / np.sqrt(alone)) ** 2)
+        size = np.abs(residual) / np.sqrt(variance)
         weight: Floats = huber_weights(size, ROBUST_SIGMAS) / variance
         normal = (by_twist * weight[:, None]).T @ by_twist
         twist = -np.linalg.lstsq(normal, (by_twist * weight[:, None]).T @ distances, rcond=1e-9)[0].astype(np.float64)
-    left = distances + by_twist @ twist
+    residual = distances + by_twist @ twist
     pixels = contact.matches[0].camera_px
-    relative = left / np.sqrt(variance)
+    relative = residual / np.sqrt(variance)
     many = block_inflation(pixels, np.clip(relative, -ROBUST_SIGMAS, ROBUST_SIGMAS))
     weighted = (by_twist * (weight / many)[:, None]).T
     pull, allowed = weighted @ distances, weighted @ by_room
@@ -88,7 +92,7 @@ def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, f
         float(np.degrees(np.linalg.norm(twist[_TURNING]))),
         float(np.linalg.norm(twist[_SHIFTING])),
         float(np.sqrt(squared_sigmas / _DOUBT)) / _CALM,
-        _apart(pixels, left / np.sqrt(alone)),
+        _apart(pixels, residual / np.sqrt(alone)),
     )
 
 
@@ -106,7 +110,7 @@ def _apart(pixels: Floats, relative: Floats) -> float:
     block = blocks_of(pixels)
     count = np.bincount(block)
     full = [relative[block == number] for number in np.flatnonzero(count >= _FULL_BLOCK)]
-    return float(np.mean([abs(float(np.median(each))) > _FAR for each in full])) if full else 0.0
+    return float(np.mean([abs(float(np.median(deviations))) > _FAR for deviations in full])) if full else 0.0
 
 
 _MOTION = slice(ROTATION.start, TRANSLATION.stop)

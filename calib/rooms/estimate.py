@@ -96,10 +96,10 @@ class RoomEstimate:
     @cached_property
     def stations_of(self) -> tuple[tuple[int, ...], ...]:
         """For each plane the stations with cells on it."""
-        found: list[set[int]] = [set() for _ in self.room.planes]
+        stations: list[set[int]] = [set() for _ in self.room.planes]
         for patch in self.patches:
-            found[patch.plane].add(patch.station)
-        return tuple(tuple(sorted(each)) for each in found)
+            stations[patch.plane].add(patch.station)
+        return tuple(tuple(sorted(on_plane)) for on_plane in stations)
 
 
 def estimate_room(
@@ -174,10 +174,10 @@ def estimate_room(
 
 def _planes_of_labels(patches: Sequence[Patch], plane_of: Sequence[Sequence[int]]) -> list[list[int]]:
     """Like `plane_of`, for the final planes of the patches; −1 for labels without cells."""
-    found = [[-1] * len(labels) for labels in plane_of]
+    planes = [[-1] * len(labels) for labels in plane_of]
     for patch in patches:
-        found[patch.station][int(patch.cells.plane[0])] = patch.plane
-    return found
+        planes[patch.station][int(patch.cells.plane[0])] = patch.plane
+    return planes
 
 
 def _reach(room: Room, patches: Sequence[Patch]) -> float:
@@ -193,20 +193,20 @@ def _repeats(room: Room, reach: float) -> list[int]:
         turned = float(np.linalg.norm(a.rotation - b.rotation)) / np.sqrt(2)
         return apart < _SAME_PLACE * reach and turned < _SAME_PLACE
 
-    return [sum(same(place, other) for other in room.places) for place in room.places]
+    return [sum(same(place, candidate) for candidate in room.places) for place in room.places]
 
 
 def undetermined_in(room: Room, covariance: Floats, reach: float) -> tuple[Undetermined, ...]:
     """The directions in which a covariance leaves places open, compared with the reach, in baselines."""
-    found = []
+    undetermined = []
     for station in range(1, len(room.places)):
         columns = room.place_columns(station)
         for turning, limit, first in ((True, _UNDETERMINED, 0), (False, _UNDETERMINED * reach, 3)):
             block = slice(columns.start + first, columns.start + first + 3)
             variances, directions = np.linalg.eigh(covariance[block, block])
-            found += [
+            undetermined += [
                 Undetermined(station, turning, direction, float(np.sqrt(variance)))
                 for variance, direction in zip(variances, directions.T, strict=True)
                 if variance > limit**2
             ]
-    return tuple(found)
+    return tuple(undetermined)

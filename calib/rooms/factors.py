@@ -153,7 +153,7 @@ class Track:
             by_room[:, :, own + 3 : own + PER_POSE] = sign * onto
             by_room[:, :, -PER_PLANE:-1] -= along_ray[:, :, None] * ((at + place.translation) @ axes)[:, None]
             by_room[:, :, -1] += along_ray
-            by_pixels.append(from_camera @ by_pixel(lambda seen: unproject(room.rig.camera, seen)[0], pixels))
+            by_pixels.append(from_camera @ by_pixel(lambda at_px: unproject(room.rig.camera, at_px)[0], pixels))
         return off, by_room, np.concatenate(by_pixels, axis=2)
 
     def misfit(self, room: Room) -> Term:
@@ -221,8 +221,8 @@ class Contact:
         """Of each point in either station (N, 2): as its matches state it, or else as given."""
         return np.stack(
             [
-                np.full(len(each), px) if each.sigma_px is None else each.sigma_px
-                for each, px in zip(self.matches, match_px, strict=True)
+                np.full(len(station_matches), px) if station_matches.sigma_px is None else station_matches.sigma_px
+                for station_matches, px in zip(self.matches, match_px, strict=True)
             ],
             axis=1,
         )
@@ -241,11 +241,11 @@ def find_contacts(
 
     `match_px`: each station's noise, if its matches state none. `neighbours`: number of neighbours for a normal.
     """
-    matches = [each[evenly(np.ones(len(each), np.bool_), _DENSE)] for each in loose]
-    points = [place @ _seen(room, each) for each, place in zip(matches, room.places, strict=True)]
+    matches = [station_matches[evenly(np.ones(len(station_matches), np.bool_), _DENSE)] for station_matches in loose]
+    points = [place @ _seen(room, station_matches) for station_matches, place in zip(matches, room.places, strict=True)]
     trees = [cKDTree(point) for point in points]
-    normals = [_normals(each, tree, neighbours) for each, tree in zip(points, trees, strict=True)]
-    found = []
+    normals = [_normals(station_points, tree, neighbours) for station_points, tree in zip(points, trees, strict=True)]
+    contacts = []
     for first, second in combinations(range(len(matches)), 2):
         if min(len(points[first]), len(points[second])) < _FEWEST:
             continue
@@ -256,17 +256,17 @@ def find_contacts(
         order = np.argsort(apart)[: np.count_nonzero(np.isfinite(apart))]
         there, once = np.unique(np.asarray(nearest, np.int64)[order], return_index=True)
         near = some[order[once]]
-        here, other = normals[first][near], normals[second][there]
-        product = np.sum(here * other, axis=1)
+        first_normals, second_normals = normals[first][near], normals[second][there]
+        product = np.sum(first_normals * second_normals, axis=1)
         alike = np.abs(product) > _ALIKE
         if np.count_nonzero(alike) < _FEWEST:
             continue
-        mean = (here * np.sign(product)[:, None] + other)[alike]
+        mean = (first_normals * np.sign(product)[:, None] + second_normals)[alike]
         mean /= np.linalg.norm(mean, axis=1, keepdims=True)
         pair = matches[first][near[alike]], matches[second][there[alike]]
         contact = Contact(first, second, pair, mean, np.ones(len(mean)))
-        found.append(replace(contact, variance=_variance(contact, room, (match_px[first], match_px[second]))))
-    return tuple(found)
+        contacts.append(replace(contact, variance=_variance(contact, room, (match_px[first], match_px[second]))))
+    return tuple(contacts)
 
 
 def _seen(room: Room, matches: Matches) -> Floats:

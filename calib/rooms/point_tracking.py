@@ -51,20 +51,22 @@ def find_tracks(
     sights: Sequence[LabelledPicture | None], plane_of: Sequence[Sequence[int]], room: Room
 ) -> tuple[Track, ...]:
     """Between all stations with a picture, on the room's planes that `plane_of` says of each station's labels."""
-    found = []
+    tracks = []
     on = [
         None if sight is None else np.array([*planes, -1], np.int32)[sight.labels]
         for sight, planes in zip(sights, plane_of, strict=True)
     ]
     for first, second in combinations(range(len(sights)), 2):
-        one, other, here, there = sights[first], sights[second], on[first], on[second]
-        if one is None or other is None or here is None or there is None:
+        first_sight, second_sight, first_planes, second_planes = sights[first], sights[second], on[first], on[second]
+        if first_sight is None or second_sight is None or first_planes is None or second_planes is None:
             continue
         for plane in sorted({*plane_of[first]} & {*plane_of[second]} - {-1}):
-            track = _followed((first, second), plane, (one.light, other.light), (here, there), room)
+            track = _followed(
+                (first, second), plane, (first_sight.light, second_sight.light), (first_planes, second_planes), room
+            )
             if track is not None:
-                found.append(track)
-    return tuple(found)
+                tracks.append(track)
+    return tuple(tracks)
 
 
 def _followed(
@@ -96,26 +98,30 @@ def _followed(
     here, there = _forward_backward(flat[0], flat[1], inside)
     if len(here) < _FEWEST:
         return None
-    one, other = (
-        _seen_at(room, station, (low + size * each) @ axes.T + offset * normal)
-        for station, each in zip(stations, (here, there), strict=True)
+    first_px, second_px = (
+        _seen_at(room, station, (low + size * drawing_px) @ axes.T + offset * normal)
+        for station, drawing_px in zip(stations, (here, there), strict=True)
     )
-    return _without_outliers(Track(*stations, plane, (one, other), np.ones(len(here))), room)
+    return _without_outliers(Track(*stations, plane, (first_px, second_px), np.ones(len(here))), room)
 
 
 def _forward_backward(
-    one: NDArray[np.uint8], other: NDArray[np.uint8], inside: NDArray[np.uint8]
+    first: NDArray[np.uint8], second: NDArray[np.uint8], inside: NDArray[np.uint8]
 ) -> tuple[Floats, Floats]:
     """Points (N, 2) of a drawing, and their positions in the other one, checked by tracking back."""
-    corners: Any = cv2.goodFeaturesToTrack(one, _MOST, _QUALITY, _SPACING_PX, mask=inside)
+    corners: Any = cv2.goodFeaturesToTrack(first, _MOST, _QUALITY, _SPACING_PX, mask=inside)
     if corners is None:
         return np.zeros((0, 2)), np.zeros((0, 2))
     follow: Any = partial(cv2.calcOpticalFlowPyrLK, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS)
-    moved, found, _ = follow(one, other, corners, None)
-    back, again, _ = follow(other, one, moved, None)
-    here, there, returned = (each.reshape(-1, 2).astype(np.float64) for each in (corners, moved, back))
-    good = (found.ravel() > 0) & (again.ravel() > 0) & (np.linalg.norm(returned - here, axis=1) < _FORWARD_BACKWARD_PX)
-    good[good] = _correlation((one, other), here[good], there[good]) > _LEAST_CORRELATION
+    moved, tracked, _ = follow(first, second, corners, None)
+    back, tracked_back, _ = follow(second, first, moved, None)
+    here, there, returned = (corner_px.reshape(-1, 2).astype(np.float64) for corner_px in (corners, moved, back))
+    good = (
+        (tracked.ravel() > 0)
+        & (tracked_back.ravel() > 0)
+        & (np.linalg.norm(returned - here, axis=1) < _FORWARD_BACKWARD_PX)
+    )
+    good[good] = _correlation((first, second), here[good], there[good]) > _LEAST_CORRELATION
     return here[good], there[good]
 
 
@@ -164,28 +170,30 @@ def _without_shading(drawing: NDArray[np.uint8], inside: NDArray[np.uint8]) -> N
 
 def _correlation(flat: Sequence[NDArray[np.uint8]], here: Floats, there: Floats) -> Floats:
     """Correlation (N,) of the surroundings of points (N, 2) in two drawings."""
-    found = np.zeros(len(here))
+    correlations = np.zeros(len(here))
     for i, both in enumerate(zip(here, there, strict=True)):
-        one, other = (
+        first_window, second_window = (
             cv2.getRectSubPix(drawing, (_WINDOW_PX, _WINDOW_PX), (float(x), float(y))).astype(np.float64)
             for drawing, (x, y) in zip(flat, both, strict=True)
         )
-        one, other = one - one.mean(), other - other.mean()
-        found[i] = np.sum(one * other) / max(float(np.sqrt(np.sum(one**2) * np.sum(other**2))), 1e-9)
-    return found
+        first_window, second_window = first_window - first_window.mean(), second_window - second_window.mean()
+        correlations[i] = np.sum(first_window * second_window) / max(
+            float(np.sqrt(np.sum(first_window**2) * np.sum(second_window**2))), 1e-9
+        )
+    return correlations
 
 
 def _without_outliers(track: Track, room: Room) -> Track | None:
     """With variances by how the points scatter about their common shift, and without those that are far off it."""
     off, _, by_pixels = track.differences(room)
     track = replace(track, variance=_LEAST_SIGMA_PX**2 * np.sum(by_pixels**2, axis=(1, 2)) / 2)
-    left = off - np.median(off, axis=0)
-    size = np.linalg.norm(left, axis=1) / np.sqrt(track.variance)
+    residual = off - np.median(off, axis=0)
+    size = np.linalg.norm(residual, axis=1) / np.sqrt(track.variance)
     larger = max(1.0, median(size) / MEDIAN_LENGTH)
     good = size < _OUTLIER_SIGMAS * larger
     if np.count_nonzero(good) < _FEWEST:
         return None
     kept = replace(track, variance=larger**2 * track.variance)[good]
-    relative = np.clip(left[good] / np.sqrt(kept.variance)[:, None], -ROBUST_SIGMAS, ROBUST_SIGMAS)
+    relative = np.clip(residual[good] / np.sqrt(kept.variance)[:, None], -ROBUST_SIGMAS, ROBUST_SIGMAS)
     alike = np.mean([block_inflation(kept.pixels[0], column) for column in relative.T])
     return replace(kept, variance=float(alike) * kept.variance)

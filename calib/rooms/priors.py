@@ -104,14 +104,14 @@ class RoomPrior:
         pairs = tuple(sorted({(min(pair), max(pair)) for pair in square}))
         return cls(rig, pairs, float(np.radians(max(squareness_deg, _EXACTLY_SQUARE))), start, place_sigma)
 
-    def free(self, seen: Bools) -> Bools:
+    def free(self, observed: Bools) -> Bools:
         """Mask of the estimated columns, (size,): without known parameters of the rig, the first pose, and planes not
-        `seen`.
+        `observed`.
         """
         free = np.ones(self.start.size, np.bool_)
         free[:SHARED] = ~self.rig.known
         free[self.start.place_columns(0)] = False
-        for plane in np.flatnonzero(~seen):
+        for plane in np.flatnonzero(~observed):
             free[self.start.plane_columns(int(plane))] = False
         return free
 

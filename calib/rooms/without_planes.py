@@ -62,8 +62,8 @@ def estimate_without_planes(
 
 def _reach(loose: Sequence[Matches], rig: State) -> float:
     """Median distance of the points from the camera, in baselines."""
-    found: list[Floats] = []
+    station_depths: list[Floats] = []
     for matches in loose:
         some = matches[np.arange(0, len(matches), max(1, len(matches) // 1000))]
-        found.append(depths(rig, unproject(rig.camera, some.camera_px)[0], some.projector_px))
-    return float(np.median(np.concatenate(found)))
+        station_depths.append(depths(rig, unproject(rig.camera, some.camera_px)[0], some.projector_px))
+    return float(np.median(np.concatenate(station_depths)))
