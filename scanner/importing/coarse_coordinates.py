@@ -71,30 +71,30 @@ def coordinates(samples: LevelSamples, patterns: Sequence[Pattern], axis: Axis) 
     return _coordinates(samples, tuple(_without_copies(samples, tuple(ours))), axis)
 
 
-def _without_copies(samples: LevelSamples, shown: _Shown) -> Iterator[tuple[int, Pattern]]:
+def _without_copies(samples: LevelSamples, frames: _Shown) -> Iterator[tuple[int, Pattern]]:
     """Yield the frames but copies of the ones before, whose patterns follow from other frames."""
-    kept = [pattern for index, pattern in shown if index not in samples.copies]
-    for index, pattern in shown:
+    kept = [pattern for index, pattern in frames if index not in samples.copies]
+    for index, pattern in frames:
         if index not in samples.copies or not _follows(pattern, kept):
             yield index, pattern
 
 
-def _follows(pattern: Pattern, others: Sequence[Pattern]) -> bool:
+def _follows(pattern: Pattern, candidates: Sequence[Pattern]) -> bool:
     """Whether other patterns along the same axis show what a pattern does."""
     match pattern:
         case Gray():
-            return replace(pattern, inverted=not pattern.inverted) in others
+            return replace(pattern, inverted=not pattern.inverted) in candidates
         case Phase():
-            steps = [p for p in others if isinstance(p, Phase) and p.period == pattern.period]
+            steps = [p for p in candidates if isinstance(p, Phase) and p.period == pattern.period]
             return len(steps) >= _FEWEST_STEPS
     return isinstance(pattern, White | Black)
 
 
 @lru_cache(_KEPT)
-def _coordinates(samples: LevelSamples, shown: _Shown, axis: Axis) -> Coordinates | Mismatch | None:
+def _coordinates(samples: LevelSamples, frames: _Shown, axis: Axis) -> Coordinates | Mismatch | None:
     """`coordinates` from the frames of the axis, white and black."""
     fringes: dict[float, list[tuple[float, int]]] = defaultdict(list)
-    for index, pattern in shown:
+    for index, pattern in frames:
         if isinstance(pattern, Phase):
             fringes[pattern.period].append((pattern.shift, index))
     waves = dict[float, _Wave]()
@@ -104,8 +104,8 @@ def _coordinates(samples: LevelSamples, shown: _Shown, axis: Axis) -> Coordinate
         if wrong:
             return Mismatch(f"the fringes of {axis} {wrong}", (len(waves) - 1) / (len(fringes) + 1))
     codes: dict[tuple[float, float], Coordinates] = {}
-    for numbering in dict.fromkeys((bit.cell, bit.offset) for _, bit in shown if isinstance(bit, Gray)):
-        code = _code(samples, shown, axis, numbering)
+    for numbering in dict.fromkeys((bit.cell, bit.offset) for _, bit in frames if isinstance(bit, Gray)):
+        code = _code(samples, frames, axis, numbering)
         if isinstance(code, Mismatch):
             return code
         codes[numbering] = code
@@ -225,18 +225,18 @@ def contrasts_of_bits(samples: LevelSamples, patterns: Sequence[Pattern], axis: 
     return contrasts
 
 
-def _code(samples: LevelSamples, shown: _Shown, axis: Axis, numbering: tuple[float, float]) -> Coordinates | Mismatch:
+def _code(samples: LevelSamples, frames: _Shown, axis: Axis, numbering: tuple[float, float]) -> Coordinates | Mismatch:
     """The code of an axis with its cell and offset, without the finest bits that the camera does not resolve."""
-    of_code = {index: p for index, p in shown if isinstance(p, Gray) and (p.cell, p.offset) == numbering}
+    of_code = {index: p for index, p in frames if isinstance(p, Gray) and (p.cell, p.offset) == numbering}
     bits = max(p.bits for p in of_code.values())
     lit, enough = samples.lit, max(_FEWEST, _FEWEST_CERTAIN * np.count_nonzero(samples.lit))
     number, certain, before = np.zeros(lit.shape), lit.copy(), np.zeros(lit.shape, np.bool_)
     for bit in range(bits):
-        bright, decided = _bit(samples, _frames_of_bit(shown, of_code, bit))
+        bright, decided = _bit(samples, _frames_of_bit(frames, of_code, bit))
         if bit < bits - _FINEST:
             if np.count_nonzero(certain & decided) < enough:  # most wrong orders end at one of the first bits
                 share = float(np.mean(decided[lit]))
-                fine = [_bit(samples, _frames_of_bit(shown, of_code, n))[1] for n in range(bit + 1, bits)]
+                fine = [_bit(samples, _frames_of_bit(frames, of_code, n))[1] for n in range(bit + 1, bits)]
                 finer = [float(np.mean(of_bit[lit])) for of_bit in fine]
                 if bit >= _COARSEST and max(finer) <= max(share, _UNRESOLVED) < _HARDLY:
                     cells = 2.0 ** (bits - bit)
@@ -264,12 +264,12 @@ class _BitFrames:
     """White and black, where either of the two is missing."""
 
 
-def _frames_of_bit(shown: Sequence[tuple[int, Pattern]], of_code: dict[int, Gray], bit: int) -> _BitFrames:
+def _frames_of_bit(axis_frames: Sequence[tuple[int, Pattern]], of_code: dict[int, Gray], bit: int) -> _BitFrames:
     """From the frames of its code by their numbers."""
     frames = {p.inverted: index for index, p in of_code.items() if p.bit == bit}
     if len(frames) > 1:
         return _BitFrames(frames[False], frames[True])
-    ends = tuple(index for index, p in shown if isinstance(p, White | Black))
+    ends = tuple(index for index, p in axis_frames if isinstance(p, White | Black))
     return _BitFrames(frames.get(False), frames.get(True), ends)
 
 

@@ -70,9 +70,9 @@ def find_frames(folder: Path, pattern: str | None = None) -> FrameFiles:
             f"{place}: expected a series of at least {_FEWEST} numbered images, found {len(images)} images ({names})"
         )
     if len(series) > 1:
-        found = "; ".join(f"{len(one)} frames, {_span(one)}" for one in series)
+        series_text = "; ".join(f"{len(frame_series)} frames, {_span(frame_series)}" for frame_series in series)
         raise InputError(
-            f"{place}: expected the frames of one camera, found several series: {found}; name one, as with "
+            f"{place}: expected the frames of one camera, found several series: {series_text}; name one, as with "
             f"--frames '{_LAST_NUMBER.sub('*', series[0][0].name)}'"
         )
     frames = [*_without_number(images, series[0]), *series[0]]
@@ -87,20 +87,20 @@ def _place_of_images(folder: Path, pattern: str) -> tuple[Path, list[Path]]:
     if len(images) >= _FEWEST:
         return folder, images
     inner = {place: _images_in(place, pattern) for place in sorted(folder.iterdir()) if place.is_dir()}
-    inner = {place: found for place, found in inner.items() if len(found) >= _FEWEST}
+    inner = {place: inner_images for place, inner_images in inner.items() if len(inner_images) >= _FEWEST}
     if not inner:
         raise InputError(f"{folder}: expected the frames of a capture, found {len(images)} images")
     if len(inner) > 1:
         names = ", ".join(str(place) for place in inner)
         raise InputError(f"{folder}: expected the frames of one capture, found several folders of images: {names}")
-    ((place, found),) = inner.items()
-    return place, found + images
+    ((place, inner_images),) = inner.items()
+    return place, inner_images + images
 
 
 def _images_in(folder: Path, pattern: str) -> list[Path]:
-    found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
+    image_files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
     return sorted(
-        (path for path in found if fnmatch(path.name, pattern) and not path.name.startswith(".")), key=_natural
+        (path for path in image_files if fnmatch(path.name, pattern) and not path.name.startswith(".")), key=_natural
     )
 
 
@@ -135,8 +135,8 @@ def _without_number(images: Iterable[Path], series: list[Path]) -> list[Path]:
 
 def _named(paths: Iterable[Path], role: str) -> Path | None:
     words = _NAMES[role]
-    found = [path for path in paths if set(re.split(r"[^a-z]+", path.stem.lower())) & set(words)]
-    return found[0] if len(found) == 1 else None
+    matching = [path for path in paths if set(re.split(r"[^a-z]+", path.stem.lower())) & set(words)]
+    return matching[0] if len(matching) == 1 else None
 
 
 def _span(paths: tuple[Path, ...] | list[Path]) -> str:

@@ -51,10 +51,10 @@ def _phase_shifting_settings(folder: Path) -> Given:
 
 def _read_config(path: Path) -> Given:
     text = read_text(path)
-    found = [
+    entries = [
         re.search(rf"<{key}>\s*([0-9]{{1,5}})\.?\s*</{key}>", text) for key in ("disp_width", "disp_height", "step")
     ]
-    width, height, step = (int(number[1]) if number else 0 for number in found)
+    width, height, step = (int(number[1]) if number else 0 for number in entries)
     if min(width, height) < 1 or step < 2:
         return Given()  # a config.xml of another program
     return Given((width, height), step // 2)
@@ -100,8 +100,8 @@ _SLTK_NAME = re.compile(r"\[(\d+)-(\d+)-(\d+)_\d+\]")
 
 def _sltk_names(files: tuple[Path, ...]) -> tuple[Pattern, ...]:
     """`TIME_[AXIS-PLACE-INVERTED_NUMBER]_img`: axis 0 is x, place 0 the finest bit; empty if a name is another."""
-    found = [_SLTK_NAME.search(path.stem) for path in files]
-    numbers = [tuple(map(int, match.groups())) for match in found if match]
+    name_matches = [_SLTK_NAME.search(path.stem) for path in files]
+    numbers = [tuple(map(int, match.groups())) for match in name_matches if match]
     if len(numbers) < len(files) or any(axis > 1 or inverted > 1 for axis, _, inverted in numbers):
         return ()
     bits = [1 + max((place for axis, place, _ in numbers if axis == number), default=0) for number in (0, 1)]

@@ -48,11 +48,11 @@ def gray_bits(
     """
     bits = max(least, count_bits(length, cell))
     offset = (cell * 2**bits - length) // 2 if centred else 0
-    shown = bits if most is None else min(bits, most)
+    bit_count = bits if most is None else min(bits, most)
     signs = (False, True) if inverses else (False,)
     return tuple(
-        Gray(axis, bit, shown, cell * 2 ** (bits - shown), offset, inverted)
-        for bit in range(shown)
+        Gray(axis, bit, bit_count, cell * 2 ** (bits - bit_count), offset, inverted)
+        for bit in range(bit_count)
         for inverted in signs
     )
 
@@ -82,9 +82,9 @@ def with_ends(
     def placed(before: tuple[Pattern, ...], after: tuple[Pattern, ...]) -> SequenceOf:
         return lambda size, cell, frames: (*before, *sequence(size, cell, frames), *after)
 
-    found = [placed((), ends) for ends in ENDS] if last else []
-    found += [placed(ends, ()) for ends in ENDS] if first else []
-    return (*found, *([sequence] if without else []))
+    placements = [placed((), ends) for ends in ENDS] if last else []
+    placements += [placed(ends, ()) for ends in ENDS] if first else []
+    return (*placements, *([sequence] if without else []))
 
 
 def other_gray_orders() -> tuple[SequenceOf, ...]:
@@ -176,10 +176,10 @@ def fringe_layouts(periods: tuple[float, ...] | None) -> tuple[FrameLayout, ...]
 def _layout(name: str, title: str, along: Sequence[_AlongAxis], side: int, needs: tuple[Need, ...]) -> FrameLayout:
     ways = map(_Direction, along)
     sequences = tuple(
-        one
+        sequence
         for way in ways
         for axes, sign, first in product(_AXES, (1, -1), _BEGINNINGS)
-        for one in replace(way, axes=axes, sign=sign, first=first).with_ends()
+        for sequence in replace(way, axes=axes, sign=sign, first=first).with_ends()
     )
     return FrameLayout(name, title, "docs/import.md", sequences, needs, any_size=(side, side))
 
@@ -206,11 +206,11 @@ class _Direction:
         steps, rest = divmod(frames - ends - codes, max(fringes, 1))
         if rest or steps not in _STEPS:
             return ()
-        shown: list[Pattern] = []
+        patterns: list[Pattern] = []
         for axis, (periods, code) in parts.items():
-            shown += chain(*(fringe(axis, period, steps, first=self.first, sign=self.sign) for period in periods))
-            shown += code
-        return tuple(shown)
+            patterns += chain(*(fringe(axis, period, steps, first=self.first, sign=self.sign) for period in periods))
+            patterns += code
+        return tuple(patterns)
 
 
 def _close(counts: Sequence[float], axis: Axis, size: Size) -> _Parts:

@@ -80,8 +80,8 @@ def _ends(patterns: Sequence[Pattern]) -> list[str]:
     at = [number for number, pattern in enumerate(patterns) if pattern in names]
     if not at:
         return ["no white or black"]
-    shown = ", ".join(names[patterns[number]] for number in at)
-    return [f"{shown} {'first' if at[0] == 0 else 'last'}"]
+    names_in_order = ", ".join(names[patterns[number]] for number in at)
+    return [f"{names_in_order} {'first' if at[0] == 0 else 'last'}"]
 
 
 @dataclass(frozen=True)
@@ -226,10 +226,10 @@ def _fits(candidate: Candidate, sizes: Sequence[Size], extents: Sequence[Extent]
     fits = dict[tuple[Size, tuple[Pattern, ...]], SizeFit]()
     for size, cell in product(sizes, given.cells):
         for patterns in candidate.on(size, cell):
-            for shown, straight in ((patterns, False), (_centred(patterns, size), True)):
-                fit = _fit(size, cell, shown, extents, given, straight=straight)
+            for variant, straight in ((patterns, False), (_centred(patterns, size), True)):
+                fit = _fit(size, cell, variant, extents, given, straight=straight)
                 if fit and (all(fit.reached) or not straight):
-                    fits.setdefault((size, shown), fit)
+                    fits.setdefault((size, variant), fit)
     return [*fits.values()]
 
 

@@ -50,14 +50,14 @@ def agreed(phases: Floats, periods: Sequence[float], whole: float) -> FringeAgre
     if np.median(_best(phases[:, :: max(1, phases.shape[1] // _SOME)], there)[1]) < _AGREE:
         return "contradict each other: are there other --periods to a picture?"
     best, fit = _best(phases, there)
-    found = places[best]
+    positions = places[best]
     fitting = fit > _AGREE
-    left = np.exp(2j * np.pi * (phases - found / waves))[:, fitting]
+    residual = np.exp(2j * np.pi * (phases - positions / waves))[:, fitting]
     # The common residual is the position between two samples.
-    left *= np.exp(-1j * np.angle(left.sum(axis=0)))
-    if np.abs(np.angle(left.mean(axis=1))).max() / (2 * np.pi) > _OFF:
+    residual *= np.exp(-1j * np.angle(residual.sum(axis=0)))
+    if np.abs(np.angle(residual.mean(axis=1))).max() / (2 * np.pi) > _OFF:
         return "do not begin at the picture's edge"
-    return FringeAgreement(found, step, float(1 - np.median(fit)))
+    return FringeAgreement(positions, step, float(1 - np.median(fit)))
 
 
 def _best(phases: Floats, there: NDArray[np.float32]) -> tuple[NDArray[np.int64], Floats]:
