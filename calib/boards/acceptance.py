@@ -182,10 +182,10 @@ def ray_sigmas(estimate: Estimate, sizes: tuple[Size, Size]) -> tuple[Floats, Fl
     its lens, because the motion between the devices compensates for it.
     """
     every, state = (_grid(sizes[0]), _grid(sizes[1])), estimate.state
-    seen = _seen_by_both(state, every, sizes)
+    in_view = _seen_by_both(state, every, sizes)
     return (
-        _lens_sigmas(state.camera, every[0], estimate.covariance[CAMERA, CAMERA], seen[0]),
-        _lens_sigmas(state.projector, every[1], estimate.covariance[PROJECTOR, PROJECTOR], seen[1]),
+        _lens_sigmas(state.camera, every[0], estimate.covariance[CAMERA, CAMERA], in_view[0]),
+        _lens_sigmas(state.projector, every[1], estimate.covariance[PROJECTOR, PROJECTOR], in_view[1]),
     )
 
 
@@ -210,14 +210,14 @@ def _grid(size: Size) -> Floats:
     return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
 
 
-def _lens_sigmas(device: Floats, pixels: Floats, covariance: Floats, seen: Bools) -> Floats:
+def _lens_sigmas(device: Floats, pixels: Floats, covariance: Floats, in_view: Bools) -> Floats:
     sigmas: Floats = np.full(len(pixels), np.nan)
-    by_turn, by_device = project_rays(device, rays_of(device, pixels[seen]))
-    if seen.any():
+    by_turn, by_device = project_rays(device, rays_of(device, pixels[in_view]))
+    if in_view.any():
         turns = by_turn.reshape(-1, 3)
         own = by_device.reshape(len(turns), -1)
         jacobian = (own - turns @ np.linalg.lstsq(turns, own, rcond=None)[0]).reshape(by_device.shape)
-        sigmas[seen] = np.sqrt(np.einsum("nka,ab,nkb->n", jacobian, covariance, jacobian) / 2)
+        sigmas[in_view] = np.sqrt(np.einsum("nka,ab,nkb->n", jacobian, covariance, jacobian) / 2)
     return sigmas.reshape(_GRID, _GRID)
 
 

@@ -195,9 +195,9 @@ def calibrate_boards(
     begun = starts(views, camera_size, projector_size, board.reach, prior)
     if not begun:
         raise no_rig(None)
-    found = estimated(views, begun[0].state, prior, board)
-    names = [view.name for view in found.views]
-    rigid = replace(found.state, boards=tuple(PlacedBoard(board.pose) for board in found.state.boards))
+    solution = estimated(views, begun[0].state, prior, board)
+    names = [view.name for view in solution.views]
+    rigid = replace(solution.state, boards=tuple(PlacedBoard(board.pose) for board in solution.state.boards))
     minima = rigid, *(fit.state for fit in begun[1:])
 
     def anew(some: Sequence[BoardView]) -> Estimate:
@@ -212,24 +212,24 @@ def calibrate_boards(
 
     sizes = camera_size, projector_size
     # Parameters that all boards together do not determine stay undetermined without one of them.
-    refuse_untrustworthy(found, (), coverage_of(found.views, found.state, *sizes), sizes)
-    found, predictions, left_out = _without_outliers(found, anew, nearby)
-    coverage = coverage_of(found.views, found.state, *sizes)
+    refuse_untrustworthy(solution, (), coverage_of(solution.views, solution.state, *sizes), sizes)
+    solution, predictions, left_out = _without_outliers(solution, anew, nearby)
+    coverage = coverage_of(solution.views, solution.state, *sizes)
     surprise = float(np.sqrt(np.mean([prediction.sigmas**2 for prediction in predictions])))
-    enlarged = straightness(found) * (surprise if surprise > _SURPRISING else 1.0)
-    found = replace(found, covariance=found.covariance * enlarged**2)
-    refuse_untrustworthy(found, _others(found, begun, views), coverage, sizes)
-    calibration = calibration_from(found, camera_size, projector_size, board.unit)
-    tested = halves(found, anew)
+    enlarged = straightness(solution) * (surprise if surprise > _SURPRISING else 1.0)
+    solution = replace(solution, covariance=solution.covariance * enlarged**2)
+    refuse_untrustworthy(solution, _others(solution, begun, views), coverage, sizes)
+    calibration = calibration_from(solution, camera_size, projector_size, board.unit)
+    tested = halves(solution, anew)
     return BoardCalibration(
         calibration,
-        found,
+        solution,
         predictions,
         tested,
         enlarged,
         left_out,
         coverage,
-        tuple(_findings(found, left_out, enlarged, tested)),
+        tuple(_findings(solution, left_out, enlarged, tested)),
     )
 
 
@@ -244,19 +244,21 @@ def estimated(views: Sequence[BoardView], start: State, prior: Prior, board: Boa
 
 
 def _without_outliers(
-    found: Estimate, anew: Callable[[Sequence[BoardView]], Estimate], nearby: Callable[[Sequence[BoardView]], Estimate]
+    solution: Estimate,
+    anew: Callable[[Sequence[BoardView]], Estimate],
+    nearby: Callable[[Sequence[BoardView]], Estimate],
 ) -> tuple[Estimate, tuple[Prediction, ...], tuple[OutlierView, ...]]:
     """The estimate without views that the others predict badly: a board that moved, or another board."""
     left_out: list[OutlierView] = []
-    most = int(_MOST_OUTLIERS * len(found.views))
+    most = int(_MOST_OUTLIERS * len(solution.views))
     while True:
-        predictions = leave_one_out(found, nearby)
+        predictions = leave_one_out(solution, nearby)
         errors = np.array([prediction.error_px for prediction in predictions])
         worst = int(np.argmax(errors))
         usual = float(np.median(np.delete(errors, worst)))
         odd = errors[worst] > max(_OUTLIER_RATIO * usual, _OUTLIER_PX) and predictions[worst].sigmas > _OUTLIER_SIGMAS
         if not odd:
-            return found, predictions, tuple(left_out)
+            return solution, predictions, tuple(left_out)
         if len(left_out) == most or len(errors) == FEWEST_VIEWS:
             raise RefusalError(
                 BOARDS_CONTRADICT,
@@ -267,27 +269,27 @@ def _without_outliers(
                 {"off_px": float(errors[worst]), "usual_px": float(usual)},
             )
         left_out.append(OutlierView(predictions[worst].name, float(errors[worst]), usual))
-        found = anew([*found.views[:worst], *found.views[worst + 1 :]])
+        solution = anew([*solution.views[:worst], *solution.views[worst + 1 :]])
 
 
-def _others(found: Estimate, begun: Sequence[BoardFit], views: Sequence[BoardView]) -> list[BoardFit]:
+def _others(solution: Estimate, begun: Sequence[BoardFit], views: Sequence[BoardView]) -> list[BoardFit]:
     """The further minima, refined like the best one."""
     names = [view.name for view in views]
-    chosen = [names.index(view.name) for view in found.views]
-    problem, further = board_problem(found.views, found.prior, found.levels), []
+    chosen = [names.index(view.name) for view in solution.views]
+    problem, further = board_problem(solution.views, solution.prior, solution.levels), []
     for fit in begun[1:]:
         state = fit.state.of_views(chosen)
         further.append(problem.minimise(state, tolerance=0.1, steps=_STEPS))
     return further
 
 
-def calibration_from(found: Estimate, camera_size: Size, projector_size: Size, unit: str) -> Calibration:
+def calibration_from(solution: Estimate, camera_size: Size, projector_size: Size, unit: str) -> Calibration:
     """An estimate's devices and motion, with its sigmas."""
-    state, sigma = found.state, np.sqrt(found.covariance.diagonal())
+    state, sigma = solution.state, np.sqrt(solution.covariance.diagonal())
     turn = np.degrees(sigma[ROTATION])
     sigmas = Sigmas(
-        DeviceSigmas.of_device(state.camera, found.covariance[CAMERA, CAMERA]),
-        DeviceSigmas.of_device(state.projector, found.covariance[PROJECTOR, PROJECTOR]),
+        DeviceSigmas.of_device(state.camera, solution.covariance[CAMERA, CAMERA]),
+        DeviceSigmas.of_device(state.projector, solution.covariance[PROJECTOR, PROJECTOR]),
         (float(turn[0]), float(turn[1]), float(turn[2])),
         float(np.degrees(np.hypot(*sigma[DIRECTION]))),
         known_baseline=float(sigma[LENGTH]) * state.pose.distance,

@@ -95,20 +95,20 @@ def _cameras(
     free = prior.free(len(views))
     free[PROJECTOR] = free[POSE] = False
     problem = board_problem(views, prior, levels, free=free, matches=False)
-    found: list[BoardFit] = []
+    fits: list[BoardFit] = []
     for _, state in trials[:_FINALISTS]:
         fit = problem.minimise(state, tolerance=_ROUGH, steps=_STEPS)
         fit = _turned_over(views, fit, problem)
-        if all(abs(np.log(fit.state.camera[0] / earlier.state.camera[0])) > _DIFFERENT for earlier in found):
-            found.append(fit)
-    yield from (fit.state for fit in sorted(found, key=lambda fit: fit.cost))
+        if all(abs(np.log(fit.state.camera[0] / earlier.state.camera[0])) > _DIFFERENT for earlier in fits):
+            fits.append(fit)
+    yield from (fit.state for fit in sorted(fits, key=lambda fit: fit.cost))
 
 
 def _turned_over(views: Sequence[BoardView], fit: BoardFit, problem: BoardProblem) -> BoardFit:
     """The same with each board in the other of the two poses that a weak perspective leaves, where that is better."""
     boards = tuple(pose_of(view.points, view.corners_px, fit.state.camera)[0] for view in views)
     turned = problem.minimise(replace(fit.state, boards=boards), tolerance=_ROUGH, steps=_STEPS)
-    return min(fit, turned, key=lambda each: each.cost)
+    return min(fit, turned, key=lambda candidate: candidate.cost)
 
 
 def pose_of(points: Floats, pixels: Floats, camera: Floats) -> tuple[PlacedBoard, float]:
@@ -142,8 +142,8 @@ def _projectors(views: Sequence[BoardView], state: State, size: tuple[int, int])
             np.array([(size[0] - 1) / 2, (size[1] - 1) / 2 + share * size[1]]) for share in (0.0, 0.5, -0.5)
         ):
             matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
-            found, turn, place = cv2.solvePnP(points, pixels, matrix, None, flags=cv2.SOLVEPNP_SQPNP)
-            if found:
+            is_solved, turn, place = cv2.solvePnP(points, pixels, matrix, None, flags=cv2.SOLVEPNP_SQPNP)
+            if is_solved:
                 image, _ = cv2.projectPoints(points, turn, place, matrix, None)
                 error = float(np.median(np.linalg.norm(image.reshape(-1, 2) - pixels, axis=1)))
                 trials.append((error, _with_projector(state, float(focal), centre, _posed(turn, place))))

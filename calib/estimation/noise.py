@@ -170,17 +170,17 @@ def measured(
     return replace(flat, planes=np.maximum(by_waves, by_ties))
 
 
-def of_station(seen: Sequence[Cells], residuals: Sequence[Floats], absorbed: float) -> tuple[Noise, Floats]:
+def of_station(patches: Sequence[Cells], residuals: Sequence[Floats], absorbed: float) -> tuple[Noise, Floats]:
     """A station's noise, from the cells and residuals of its patches; and the part of χ² in each patch's long waves.
 
     That part is NaN for patches that are too small.
     """
-    noise = noise_of(_together(seen), np.concatenate(residuals), absorbed * len(seen))
+    noise = noise_of(_together(patches), np.concatenate(residuals), absorbed * len(patches))
     independent = replace(noise, inflation=1.0)
     waves = np.array(
         [
             long_waves(cells, residual, independent.variances(cells))[0][0]
-            for cells, residual in zip(seen, residuals, strict=True)
+            for cells, residual in zip(patches, residuals, strict=True)
         ]
     )
     known = waves[np.isfinite(waves)]
@@ -206,7 +206,7 @@ def _coherence(patches: Sequence[PlanePart[AnyPlanes]], fit: Fit[AnyPlanes], sta
         terms = monomials(patch.cells.camera_px, scale)
         information[patch.capture] += (terms * weight[:, None]).T @ terms
         pull[patch.capture] += terms.T @ (weight * across)
-    explained = np.array([_explained(*each) for each in zip(information, pull, strict=True)])
+    explained = np.array([_explained(*station_sums) for station_sums in zip(information, pull, strict=True)])
     if overdispersion(float(explained.sum()), float(TERMS * np.count_nonzero(explained)), _BENT) == 1.0:
         return 0.0
     chance = 1 / np.count_nonzero(explained)
@@ -223,12 +223,14 @@ def _of_planes(patches: Sequence[PlanePart[AnyPlanes]], totals: Floats, freedom:
     """Factor on each plane's variances beyond those of the stations, (planes,), from χ² and its degrees of freedom."""
     planes = np.array([patch.plane for patch in patches])
     known = np.isfinite(totals)
-    sums, free = (np.bincount(planes[known], each[known], len(layout.planes)) for each in (totals, freedom))
+    sums, free = (np.bincount(planes[known], summands[known], len(layout.planes)) for summands in (totals, freedom))
     return _overdispersions(sums.tolist(), free.tolist())
 
 
 def _overdispersions(totals: Sequence[float], freedom: Sequence[float]) -> Floats:
-    return np.array([overdispersion(*each, _BENT) for each in zip(totals, freedom, strict=True)])
+    return np.array(
+        [overdispersion(*total_and_freedom, _BENT) for total_and_freedom in zip(totals, freedom, strict=True)]
+    )
 
 
 def _together(parts: Sequence[Cells]) -> Cells:

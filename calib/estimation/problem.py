@@ -316,6 +316,6 @@ def squareness(layout: PlaneLayout, pairs: Sequence[tuple[int, int]], sigma: flo
     for pair in pairs:
         normals = [layout.planes[plane].normal for plane in pair]
         columns = [np.r_[layout.plane_columns(plane)][:2] for plane in pair]
-        slopes = [tangent_basis(own).T @ other for own, other in zip(normals, normals[::-1], strict=True)]
+        slopes = [tangent_basis(own).T @ normal for own, normal in zip(normals, normals[::-1], strict=True)]
         off = np.array([normals[0] @ normals[1]]) / sigma
         yield Term.gaussian(np.concatenate(columns), off, np.concatenate(slopes)[None] / sigma)

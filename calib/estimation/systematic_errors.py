@@ -146,16 +146,16 @@ def covariance_of_waves(
         modes = modes_over([waves.patch.points(fit.state) for waves in on_plane], fit.state.planes[plane].normal)
         pull = np.sum([waves.pull(of_patch) for waves, of_patch in zip(on_plane, modes, strict=True)], axis=0)
         moved = problem.response(fit, pull)
-        left, whole = (
+        remaining, whole = (
             sum(waves.energy_left(of_patch, after) for waves, of_patch in zip(on_plane, modes, strict=True))
             for after in (moved, np.zeros_like(moved))
         )
-        if left < _LEAST_LEFT * whole:
+        if remaining < _LEAST_LEFT * whole:
             continue
         energy = sum(waves.energy() for waves in on_plane)
         # Variances on the plane were enlarged by the waves; this is the noise without them.
         noise = len(on_plane) * CUBIC / levels.planes[plane]
-        variance = max(energy - noise, 0.0) / left
+        variance = max(energy - noise, 0.0) / remaining
         covariance += variance * moved @ moved.T
         heights[plane] = np.sqrt(variance * np.mean(np.sum(np.concatenate(modes) ** 2, axis=1)))
     return covariance, heights

@@ -69,10 +69,10 @@ def corner_image(homographies: Floats) -> CornerImage:
     lines = []
     for a in range(3):
         homology = np.linalg.solve(homographies[(a + 1) % 3], homographies[(a + 2) % 3])
-        values, left = np.linalg.eig(homology.T)
+        values, left_vectors = np.linalg.eig(homology.T)
         gaps = np.abs(values[:, None] - values[None, :]).sum(axis=1)
         gaps[np.abs(values.imag) > 1e-9 * np.abs(values)] = -1.0
-        line = left[:, int(np.argmax(gaps))].real
+        line = left_vectors[:, int(np.argmax(gaps))].real
         lines.append(line / np.linalg.norm(line))
     stacked = np.stack(lines)
     return CornerImage(np.linalg.svd(stacked)[2][2], stacked)

@@ -101,7 +101,7 @@ def face_grams(matches: Matches) -> FaceGrams:
     moments = _moments(matches.camera_px, matches.projector_px, face, camera_scale, projector_scale, len(FACES))
     return FaceGrams(
         np.stack([_gram_of_moments(moment) for moment in moments]),
-        np.stack([_gram_of_moments(each.transpose(1, 0, 3, 2)) for each in moments]),
+        np.stack([_gram_of_moments(face_moments.transpose(1, 0, 3, 2)) for face_moments in moments]),
         camera_scale,
         projector_scale,
     )

@@ -222,7 +222,7 @@ def shrunk_scatter(jacobian: Floats, residual: Floats, cluster: Ints) -> Floats:
     root = np.linalg.cholesky(normal)
     rows = np.linalg.solve(root, jacobian.T)
     scores = biweight(residual) * residual * rows
-    held = np.stack([np.bincount(cluster, slope * one * other) for one in rows for other in rows], axis=1)
+    held = np.stack([np.bincount(cluster, slope * row * column) for row in rows for column in rows], axis=1)
     values, axes = np.linalg.eigh(np.eye(size) - held.reshape(clusters, size, size))
     sums = np.stack([np.bincount(cluster, score) for score in scores], axis=1)[:, :, None]
     sums = axes @ (np.swapaxes(axes, 1, 2) @ sums / np.sqrt(np.maximum(values, _LEAST_LEFT))[:, :, None])
@@ -230,13 +230,13 @@ def shrunk_scatter(jacobian: Floats, residual: Floats, cluster: Ints) -> Floats:
     if not np.linalg.eigvalsh(alone)[0] > _TINY * np.trace(alone):  # no residuals, as of a surface with itself
         return np.asarray(root @ alone @ root.T)
     spread = np.linalg.cholesky(alone)
-    each = np.linalg.solve(spread, sums[:, :, 0].T) * np.sqrt(clusters)
-    found = each @ each.T / clusters
-    common = np.trace(found) / size * np.eye(size)
-    by_chance = (np.mean(np.sum(each**2, axis=0) ** 2) - np.sum(found**2)) / clusters
-    drawn = min(1.0, by_chance / max(float(np.sum((found - common) ** 2)), _TINY))
+    whitened = np.linalg.solve(spread, sums[:, :, 0].T) * np.sqrt(clusters)
+    sample_scatter = whitened @ whitened.T / clusters
+    common = np.trace(sample_scatter) / size * np.eye(size)
+    by_chance = (np.mean(np.sum(whitened**2, axis=0) ** 2) - np.sum(sample_scatter**2)) / clusters
+    drawn = min(1.0, by_chance / max(float(np.sum((sample_scatter - common) ** 2)), _TINY))
     back = root @ spread
-    scatter: Floats = back @ (drawn * common + (1 - drawn) * found) @ back.T
+    scatter: Floats = back @ (drawn * common + (1 - drawn) * sample_scatter) @ back.T
     return scatter
 
 

@@ -68,10 +68,10 @@ def merged(clouds: Sequence[Cloud], views: Sequence[CornerView], turns: tuple[in
 
 def _place(cloud: Cloud, view: CornerView, turn: int, pixel: Ints, points: Floats, distance: Floats) -> None:
     """Write the points (N, 3) of a cloud's pixels (N,) in the corner's frame, and their distances (N,)."""
-    seen = cloud.points.reshape(-1, 3)
+    camera_points = cloud.points.reshape(-1, 3)
 
     def fill(at: slice) -> None:
-        in_camera = seen.take(pixel[at], axis=0).astype(np.float64)
+        in_camera = camera_points.take(pixel[at], axis=0).astype(np.float64)
         points[at] = view.in_corner(in_camera, turn)
         distance[at] = np.linalg.norm(in_camera, axis=1)
 

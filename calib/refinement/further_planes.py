@@ -84,12 +84,12 @@ def without(captures: Sequence[Cells], state: State, planes: list[tuple[int, int
     """Remove some of the further planes from captures and state."""
     reduced, corners = [], []
     for i, (cells, corner) in enumerate(zip(captures, state.corners, strict=True)):
-        left = [j for j in range(len(corner.planes)) if (i, j) not in planes]
+        kept = [j for j in range(len(corner.planes)) if (i, j) not in planes]
         number = np.full(len(FACES) + len(corner.planes), -1, np.int32)
-        number[[*FACES, *(len(FACES) + j for j in left)]] = np.arange(len(FACES) + len(left))
+        number[[*FACES, *(len(FACES) + j for j in kept)]] = np.arange(len(FACES) + len(kept))
         renumbered = replace(cells, plane=number[cells.plane])
         reduced.append(renumbered[renumbered.plane >= 0])
-        corners.append(replace(corner, planes=tuple(corner.planes[j] for j in left)))
+        corners.append(replace(corner, planes=tuple(corner.planes[j] for j in kept)))
     return reduced, replace(state, corners=tuple(corners))
 
 

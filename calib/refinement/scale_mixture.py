@@ -128,18 +128,18 @@ def _seen(fit: CornerFit, prior: Prior) -> tuple[Floats, Floats]:
     All other columns are integrated out.
     """
     columns = _columns(prior)
-    others = prior.free.copy()
-    others[columns] = False
+    nuisance = prior.free.copy()
+    nuisance[columns] = False
     values = fit.state.additive()
     _, slope, curvature = prior.misfit(values)
     gradient, information = fit.gradient.copy(), fit.information.copy()
     gradient[columns] -= slope[columns]
     information[columns, columns] -= curvature[columns]
-    gain = inverse_of(information[np.ix_(others, others)]) @ information[np.ix_(others, columns)]
+    gain = inverse_of(information[np.ix_(nuisance, nuisance)]) @ information[np.ix_(nuisance, columns)]
     matrix = _non_negative(
-        information[np.ix_(columns, columns)] - gain.T @ information[np.ix_(others, columns)], prior.sigma[columns]
+        information[np.ix_(columns, columns)] - gain.T @ information[np.ix_(nuisance, columns)], prior.sigma[columns]
     )
-    return matrix, matrix @ (values - prior.mean)[columns] - (gradient[columns] - gain.T @ gradient[others])
+    return matrix, matrix @ (values - prior.mean)[columns] - (gradient[columns] - gain.T @ gradient[nuisance])
 
 
 def _scaled(matrix: Floats, sigmas: Floats) -> Floats:
