@@ -68,9 +68,9 @@ def noise_of(light: Light) -> tuple[float, float]:
 
 def _variance(images: tuple[Image, ...], where: Bools) -> tuple[float, float]:
     """Mean level and variance of a pixel; what moved between two frames does not count."""
-    shown = [grey(image)[where] for image in images]
+    grey_levels = [grey(image)[where] for image in images]
     levels, variances = [], []
-    for first, second in pairwise(shown):
+    for first, second in pairwise(grey_levels):
         squares = (second - first - np.mean(second - first)) ** 2
         usual = float(np.mean(squares))
         for _ in range(5):

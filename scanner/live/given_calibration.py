@@ -41,7 +41,7 @@ def find_change_live(
 def _round(rig: Rig, sequence: LiveSequence, look: FirstLook) -> Round:
     """The next whole round."""
     with closing(take_rounds(rig, sequence, look.response)) as rounds:
-        return next(each for each in rounds if each is not None)
+        return next(taken_round for taken_round in rounds if taken_round is not None)
 
 
 def _across(cloud: LiveCloud, sequence: LiveSequence, calibration: Calibration) -> LiveSequence:
@@ -84,7 +84,7 @@ def _matches(
         reason,
         moving,
     )
-    kept = [each == MaskReason.KEPT for each in (reason, before.reason, after.reason)]
+    kept = [mask == MaskReason.KEPT for mask in (reason, before.reason, after.reason)]
     row, column = np.nonzero(np.all(kept, axis=0) & (after.moving == 0) & np.isfinite(coordinate))
     projector_px = np.empty((len(row), 2))
     usual = (before.coordinate[row, column], after.coordinate[row, column])

@@ -32,7 +32,7 @@ def joined_text(captures: Sequence[Decoded], calibration: Calibration) -> list[s
         return [f"No two stations fit together yet: {outside_text(outside)}. {advice_on(outside)}"]
     if not outside:
         return [f"{placed} stations fit together."]
-    names = brief([each.name for each in outside])
+    names = brief([capture.name for capture in outside])
     return [f"{placed} stations fit together, but not yet {names}: put stations between them and the others."]
 
 

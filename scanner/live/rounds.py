@@ -60,7 +60,9 @@ def best_sequence(
     """The shortest fringes that are unambiguous, from one round of longer ones. Raises DeviceError, RefusalError."""
     widest = widest_sequence(calibration, depths)
     with closing(take_rounds(rig, widest, first_look.response)) as taken:
-        return shortened(widest, next(each for each in taken if each is not None).grey, first_look, calibration)
+        return shortened(
+            widest, next(taken_round for taken_round in taken if taken_round is not None).grey, first_look, calibration
+        )
 
 
 def _picture(pattern: Pattern, size: tuple[int, int], response: ProjectorResponse | None) -> Image:

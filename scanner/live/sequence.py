@@ -109,8 +109,8 @@ def shortened(widest: LiveSequence, taken: Image, look: FirstLook, calibration: 
     # Projector pixels per camera pixel, if both devices are equally far from the scene.
     span = calibration.projector.focal_px[0] / calibration.camera.focal_px[0]
     least_px = max(_LEAST_PERIOD_PX, _CAMERA_PIXELS * span)
-    found = max(_MARGIN_OF_ORDER * (float(np.quantile(off, _MOST)) + passes), least_px)
-    return replace(widest, short_px=_uneven(min(found, _LARGEST * long_px)))
+    needed_px = max(_MARGIN_OF_ORDER * (float(np.quantile(off, _MOST)) + passes), least_px)
+    return replace(widest, short_px=_uneven(min(needed_px, _LARGEST * long_px)))
 
 
 def _uneven(period_px: float) -> float:
@@ -129,12 +129,12 @@ def _ends(pixels: Floats, axis: int, calibration: Calibration, depths: tuple[flo
     """The coordinate (2, N) of camera pixels (N, 2) at the far end and at the near one, within the picture."""
     length = calibration.projector.size[axis]
     far, near = _inverse_depths(calibration, depths)
-    begin, towards, end = (_seen_at(pixels, each, calibration)[:, axis] for each in (far, 1.01 * far, near))
+    begin, towards, end = (_seen_at(pixels, depth, calibration)[:, axis] for depth in (far, 1.01 * far, near))
     # Close points leave the picture there, or are behind the projector.
     edge = np.where(towards > begin, length - 0.5, -0.5)
     ends = np.stack([begin, edge if depths is None else np.where(np.isnan(end), edge, end)])
-    found: Floats = np.clip(ends, -0.5, length - 0.5)
-    return found
+    clipped_ends: Floats = np.clip(ends, -0.5, length - 0.5)
+    return clipped_ends
 
 
 def _seen_at(pixels: Floats, inverse_depth: float, calibration: Calibration) -> Floats:

@@ -49,8 +49,8 @@ class Newest(Generic[T]):
         """Wait for the next one; None if there will be none."""
         with self._there:
             self._there.wait_for(lambda: self._held is not None or self._closed)
-            found, self._held = self._held, None
-            return found
+            newest, self._held = self._held, None
+            return newest
 
     def finish(self) -> None:
         """What is held is the last."""
@@ -102,10 +102,10 @@ def proven(decoder: LiveDecoder, taken: Round, earlier: list[LiveCloud]) -> Live
     A frame that is late makes a round that is like no other. It is dropped, and the one after it is not.
     """
     for before in earlier:
-        found = decoder.cloud(taken, before)
-        if not found.contradicts_itself:
-            earlier[:] = [found]
-            return found
+        cloud = decoder.cloud(taken, before)
+        if not cloud.contradicts_itself:
+            earlier[:] = [cloud]
+            return cloud
     alone = decoder.cloud(taken)
     if not alone.contradicts_itself:
         earlier[1:] = [alone]
