@@ -138,9 +138,11 @@ def _distance(corner: Uncertainty, rig: State) -> float:
     return _in_sigmas(corner.rig.step_to(rig), corner.covariance, _observed(corner))
 
 
-def _apart(one: Uncertainty, other: Uncertainty) -> float:
+def _apart(first: Uncertainty, second: Uncertainty) -> float:
     """Of two corners' rigs, in the sigmas of their difference."""
-    return _in_sigmas(one.rig.step_to(other.rig), one.covariance + other.covariance, _observed(one) & _observed(other))
+    return _in_sigmas(
+        first.rig.step_to(second.rig), first.covariance + second.covariance, _observed(first) & _observed(second)
+    )
 
 
 def _in_sigmas(step: Floats, covariance: Floats, free: Bools) -> float:

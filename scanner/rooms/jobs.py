@@ -91,7 +91,7 @@ def _guidance(captures: Sequence[Decoded], calibration: Calibration) -> list[str
     newest = len(captures) - 1
     if newest == 0:
         return [f"Next: {_turn(calibration, 'to either side')}"]
-    changed = of_another_rig([each.matches for each in captures], calibration)
+    changed = of_another_rig([capture.matches for capture in captures], calibration)
     if newest in changed or (newest == 1 and changed):
         return [
             f"{captures[-1].name} was taken with another rig than the stations before it, and will be left out: "
@@ -99,8 +99,8 @@ def _guidance(captures: Sequence[Decoded], calibration: Calibration) -> list[str
             "are."
         ]
     views = [segment_capture(capture, calibration) for capture in captures]
-    registration = register([each.view for each in views], changed)
-    group = next((each for each in registration.groups if newest in each.stations), None)
+    registration = register([view.view for view in views], changed)
+    group = next((candidate for candidate in registration.groups if newest in candidate.stations), None)
     if group is None:
         return [
             f"{captures[-1].name} overlaps none of the stations before it. It will be left out unless a later one "
@@ -112,16 +112,16 @@ def _guidance(captures: Sequence[Decoded], calibration: Calibration) -> list[str
 
 
 def _overlaps(captures: Sequence[Decoded], shared: Sequence[Pair], newest: int) -> str:
-    others = [
+    overlap_texts = [
         f"{captures[pair.first if pair.second == newest else pair.second].name} by {pair.overlap:.0%}"
         for pair in sorted(shared, key=lambda pair: -pair.overlap)
     ]
     weak = (
         " That is little: put another station in between."
-        if max(each.overlap for each in shared) < _LEAST_OVERLAP
+        if max(shared_pair.overlap for shared_pair in shared) < _LEAST_OVERLAP
         else ""
     )
-    return f"{captures[newest].name} overlaps {', '.join(others)}.{weak}"
+    return f"{captures[newest].name} overlaps {', '.join(overlap_texts)}.{weak}"
 
 
 def _next(views: Sequence[CaptureView], group: Group, newest: int, calibration: Calibration) -> str:

@@ -141,24 +141,26 @@ def textured(stations: Sequence[Station], calibration: Calibration, mesh: Mesh) 
     near = _EDGES * float(np.median(np.linalg.norm(edges, axis=1)))
     camera = calibration.camera
     pictured = [station for station in stations if station.decoded.texture is not None]
-    shown = []
+    station_pixels = []
     owner, largest = np.full(len(mesh.triangles), -1), np.zeros(len(mesh.triangles))
     for number, station in enumerate(pictured):
         pixels, visible = _looked_at(station, points, camera, near)
-        shown.append(PointsInPicture(_without_gaps(station.cloud.colours, station.cloud.there), pixels, visible))
+        station_pixels.append(
+            PointsInPicture(_without_gaps(station.cloud.colours, station.cloud.there), pixels, visible)
+        )
         corners = pixels[mesh.triangles]
-        one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        area = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
+        first_edge, second_edge = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        area = np.abs(first_edge[:, 0] * second_edge[:, 1] - first_edge[:, 1] * second_edge[:, 0])
         larger = visible[mesh.triangles].all(axis=1) & (area > largest)
         owner[larger], largest[larger] = number, area[larger]
-    pictures = in_common_light(shown)
+    pictures = in_common_light(station_pixels)
     pieces = []
     for number in np.unique(owner).tolist():
         vertices, own = part_of(mesh, owner == number)
         if number < 0:
             pieces.append(Piece(own))
             continue
-        places = (shown[number].pixels[vertices] + 0.5) / [camera.width, camera.height]
+        places = (station_pixels[number].pixels[vertices] + 0.5) / [camera.width, camera.height]
         pieces.append(Piece(own, places, _encoded(pictures[number])))
     return pieces
 
@@ -182,7 +184,7 @@ def _looked_at(station: Station, points: Floats, camera: Intrinsics, near: float
     outside = np.array([width, height], np.float64)
     column, row = np.rint(np.clip(np.where(np.isfinite(pixels), pixels, -1.0), -1.0, outside)).astype(np.int64).T
     inside = ahead & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    low, high = (each[np.where(inside, row, 0), np.where(inside, column, 0)] for each in (nearest, farthest))
+    low, high = (bound[np.where(inside, row, 0), np.where(inside, column, 0)] for bound in (nearest, farthest))
     with np.errstate(invalid="ignore"):
         visible: Bools = inside & (own[:, 2] > low - near) & (own[:, 2] < high + near) & (high - low < _STEP * near)
     return np.where(visible[:, None], pixels, 0.0), visible
