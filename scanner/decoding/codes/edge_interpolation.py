@@ -76,8 +76,8 @@ class StripeLevels:
         """
         alone = [*code.unpaired.values()]
         sides = np.zeros((2, code.bits), np.int64)  # pixels do not differ in a bit that was never shown
-        for side, shown, opposite in ((0, code.normal, code.inverse), (1, code.inverse, code.normal)):
-            for bit, frame in shown.items():
+        for side, bit_frames, opposite in ((0, code.normal, code.inverse), (1, code.inverse, code.normal)):
+            for bit, frame in bit_frames.items():
                 sides[side, bit] = places[frame]
                 if bit not in opposite:
                     sides[1 - side, bit] = -1 - alone.index(frame)

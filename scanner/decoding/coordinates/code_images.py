@@ -82,8 +82,8 @@ class CodeImages:
         Most edges of an XOR code bound no cell. If blur removes the finest stripes, the edges of the next bit are
         displaced too.
         """
-        shown = self.frames.plan
-        whole = [] if shown.fringes else [code for code in shown.codes if code.base is None]
+        plan = self.frames.plan
+        whole = [] if plan.fringes else [code for code in plan.codes if code.base is None]
         all_words = [
             code_words for code_words in self.codes if code_words.code in axis.codes and code_words.code in whole
         ]

@@ -239,9 +239,9 @@ def calibrated_decoders(
         FringeAxis(axis, noise, saturation, (None,) * len(axis.fringes), widest_tolerances(axis))
         for axis in with_fringes
     ]
-    found = [*map(_with_tolerances, raw, parts)]
-    plain = chosen = [decoder for decoder, _ in found]
-    if ripples := _ripples(chain(*(phases for _, phases in found))):
+    with_phases = [*map(_with_tolerances, raw, parts)]
+    plain = chosen = [decoder for decoder, _ in with_phases]
+    if ripples := _ripples(chain(*(phases for _, phases in with_phases))):
         rippled = [replace(decoder, ripple=tuple(map(ripples.get, decoder.plan.fringes))) for decoder in raw]
         straightened = [decoder for decoder, _ in map(_with_tolerances, rippled, parts)]
         # Periods are rippled at different places, so that a right correction reduces their disagreement.
