@@ -62,9 +62,9 @@ def summed_squares(region: LitRegion, regions: Sequence[LitRegion], to_file: Flo
     time.
     """
     total = np.square(region.distance.read_all())
-    for other in regions:
-        if other is not region:
-            _add_region(other, region.view.position, to_file, total)
+    for neighbour in regions:
+        if neighbour is not region:
+            _add_region(neighbour, region.view.position, to_file, total)
     return total
 
 

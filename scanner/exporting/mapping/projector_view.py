@@ -186,7 +186,7 @@ def _light(
     """Points on rays (N, 2) of the projector at `centre`, and where they are seen on the wall, from the triangle that
     each hits; its `corners` are in the projector's frame. `reach` (2, 2): as in `_Lit`.
     """
-    towards, seen, shares = np.empty(3), np.empty(3), np.empty(3)
+    towards, seen_from_eye, shares = np.empty(3), np.empty(3), np.empty(3)
     eye_ahead = eye[0] * wall_normal[0] + eye[1] * wall_normal[1] + eye[2] * wall_normal[2] - wall_offset
     for i in range(len(depth)):
         on_wall[i, 0] = on_wall[i, 1] = np.nan
@@ -222,10 +222,14 @@ def _light(
             for corner in range(3):
                 normal += shares[corner] * normals[triangles[hits[i], corner], k]
             facing += normal / total * towards[k]
-            seen[k] = eye[k] - share * towards[k] if has_eye else points[i, k]
+            seen_from_eye[k] = eye[k] - share * towards[k] if has_eye else points[i, k]
         if facing > grazing * np.sqrt(length):
             for axis in range(2):
-                on_wall[i, axis] = seen[0] * axes[0, axis] + seen[1] * axes[1, axis] + seen[2] * axes[2, axis]
+                on_wall[i, axis] = (
+                    seen_from_eye[0] * axes[0, axis]
+                    + seen_from_eye[1] * axes[1, axis]
+                    + seen_from_eye[2] * axes[2, axis]
+                )
 
 
 @compiled

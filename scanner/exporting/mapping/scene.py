@@ -65,7 +65,7 @@ def read_scene(result: Path, capture: int | None) -> MappedScene:
 
 def _of_network(result: Path) -> MappedScene:
     network = read_network(result / NETWORK.listing)
-    projectors = tuple(each for each in network.devices if each.kind == "projector")
+    projectors = tuple(network_device for network_device in network.devices if network_device.kind == "projector")
     if not projectors:
         raise InputError(f"{result / NETWORK.listing}: has no projector, so there is nothing to map")
     cleaned = read_cleaned(result, own_axes=True)

@@ -163,10 +163,10 @@ def _write_maps(
         content = content_on(viewpoint, [view.part for view in views])
         for view, maps in zip(views, maps_of, strict=True):
             region = LitRegion(view, stack.enter_context(scratch_rows(scratch, view.depth.shape)))
-            shown = _write_places(view, content, maps)
-            region.distance.write_all(distance_from_edge(view, shown))
+            places_shown = _write_places(view, content, maps)
+            region.distance.write_all(distance_from_edge(view, places_shown))
             regions.append(region)
-            shares.append(float(shown.mean()))
+            shares.append(float(places_shown.mean()))
         for region, maps in zip(regions, maps_of, strict=True):
             _write_blend(region, summed_squares(region, regions, to_file), gamma, maps["blend.png"])
     return content, views, shares
@@ -234,8 +234,8 @@ def _entry(camera: GlbCamera, metres: float) -> dict[str, Any]:
 
 def _content_entry(content: Content, metres: float) -> dict[str, Any]:
     def vector(value: Floats, factor: float = 1.0) -> list[float]:
-        found: list[float] = (factor * Y_UP_FROM_CAMERA * value).tolist()
-        return found
+        y_up: list[float] = (factor * Y_UP_FROM_CAMERA * value).tolist()
+        return y_up
 
     eye = content.viewpoint.eye
     return {
@@ -253,9 +253,9 @@ def _summary(scene: MappedScene, content: Content, metres: float, shares: Sequen
     width, height = (f"{metres * side:.2f}" for side in content.extent)
     count = len(scene.projectors)
     cameras = f"{count} projectors as cameras" if count > 1 else "1 projector as a camera"
-    shown = (f"{device.name} {share:.0%}" for device, share in zip(scene.projectors, shares, strict=True))
+    share_texts = (f"{device.name} {share:.0%}" for device, share in zip(scene.projectors, shares, strict=True))
     return [
         f"{cameras}, {len(scene.mesh.triangles):,} triangles",
         f"Content: {content.size} pixels on {width} m × {height} m of the largest wall",
-        f"Pixels that show some of it: {', '.join(shown)}",
+        f"Pixels that show some of it: {', '.join(share_texts)}",
     ]
