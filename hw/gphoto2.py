@@ -256,10 +256,10 @@ class GPhotoCamera(AbstractContextManager["GPhotoCamera"]):
 
     def _set(self, names: Sequence[str], value: str) -> None:
         """Set a value and read it back. Raises DeviceError if the camera sets another one."""
-        found = self._widget(names)
-        if found is None:
+        setting = self._widget(names)
+        if setting is None:
             raise DeviceError(f"camera {self.name}: it has no setting {names[0]}. Set it in the camera's menu.")
-        config, widget = found
+        config, widget = setting
         if (choices := [str(choice) for choice in widget.get_choices()]) and value not in choices:
             raise DeviceError(
                 f"camera {self.name}: {names[0]} {value!r} is not available; it offers {', '.join(choices)}."

@@ -117,9 +117,9 @@ class MotionJpegStream:
             while (image := self._decoded(self._part())) is None:
                 broken += 1
         except TimeoutError:
-            seen = f" ({broken} that came are cut off, or no JPEG)" if broken else ""
+            damaged = f" ({broken} that came are cut off, or no JPEG)" if broken else ""
             raise DeviceError(
-                f"camera {self._name}: no whole picture for {self._limit_s:.3g} s{seen}. Check that it is on and "
+                f"camera {self._name}: no whole picture for {self._limit_s:.3g} s{damaged}. Check that it is on and "
                 "sends, and its network, then rerun."
             ) from None
         except (OSError, HTTPException, EOFError):

@@ -94,7 +94,7 @@ def list_cameras() -> list[CameraInfo]:
     numbers = sorted(int(path.name.removeprefix("video")) for path in _V4L.glob("video*")) if _V4L.is_dir() else []
     if not sys.platform.startswith("linux"):
         numbers = [*range(_PROBED)]
-    return [found for number in numbers if (found := _looked_at(number)) is not None]
+    return [camera for number in numbers if (camera := _looked_at(number)) is not None]
 
 
 def _looked_at(number: int) -> CameraInfo | None:
@@ -228,8 +228,8 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
             self.identity["exposure"] = f"{1e-3 * (self._exposure_us or 0):.4g} ms"
         if settings.gain is not None:
             self._capture.set(cv2.CAP_PROP_GAIN, settings.gain)
-            found = self._capture.get(cv2.CAP_PROP_GAIN)
-            refuse_other_setting(self.name, "gain", settings.gain, found, advice=_BY_HAND)
+            actual_gain = self._capture.get(cv2.CAP_PROP_GAIN)
+            refuse_other_setting(self.name, "gain", settings.gain, actual_gain, advice=_BY_HAND)
             self.identity["gain"] = f"{settings.gain:g}"
 
     def _learn_exposure(self, *, fixed: bool) -> None:
@@ -262,10 +262,10 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
         height, width = image.shape[:2]
         refuse_other_size(self.name, self.size, (width, height))
         if image.dtype != np.uint8 or image.shape[2:] not in ((), (3,)) or self._shape not in (None, image.shape):
-            found = "grey" if image.ndim == 2 else f"{image.shape[2]} channels"
+            format_text = "grey" if image.ndim == 2 else f"{image.shape[2]} channels"
             raise DeviceError(
                 f"camera {self.name}: expected 8-bit frames, all grey or all of three channels (BGR), but it delivers "
-                f"{found}, {image.dtype}. Choose another format with the rig's codec, or in the camera's app."
+                f"{format_text}, {image.dtype}. Choose another format with the rig's codec, or in the camera's app."
             )
         self._shape = image.shape
         return image

@@ -108,12 +108,12 @@ class RealDevices:
         for name in cameras:
             camera, backend = self._camera(name, projector), self._pairs[name, projector].rig.backend
             opened.append((camera, {"backend": backend, **camera.identity, **of_screen}))
-        (camera, identity), *others = opened
+        (camera, identity), *further_cameras = opened
         rig: TimedRig
         if camera.capabilities.streaming:
             rig = streamed(screen, camera, identity, refresh_hz)
         else:
-            rig = synchronised(screen, camera, identity, refresh_hz, others)
+            rig = synchronised(screen, camera, identity, refresh_hz, further_cameras)
         try:
             yield rig
         finally:
