@@ -175,6 +175,6 @@ def _split(values: Floats, total: int, unreadable: int) -> StoredPoints:
     return StoredPoints(values[:, :3], values[:, 3:] if values.shape[1] > 3 else None, total, unreadable)
 
 
-def _truncated(path: Path, promised: int, found: int) -> InputError:
-    there = f"its header promises {promised:,} points, and {found:,} are there"
+def _truncated(path: Path, promised: int, actual: int) -> InputError:
+    there = f"its header promises {promised:,} points, and {actual:,} are there"
     return InputError(f"{path}: is truncated: {there}: copy it again")

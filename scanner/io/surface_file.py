@@ -215,8 +215,8 @@ def _mesh(path: Path, start: bytes, faces: int = 0) -> StoredSurface:
     with _silent():
         mesh = o3d.io.read_triangle_mesh(str(path))
     if 0 < len(mesh.triangles) < faces:
-        found = f"its header promises {faces:,} faces, and {len(mesh.triangles):,} triangles can be read"
-        raise InputError(f"{path}: is truncated or damaged: {found}: copy it again")
+        shortfall = f"its header promises {faces:,} faces, and {len(mesh.triangles):,} triangles can be read"
+        raise InputError(f"{path}: is truncated or damaged: {shortfall}: copy it again")
     return _triangles_of(path, mesh, "m" if path.suffix.lower() in (".glb", ".gltf") else _stated_unit(start))
 
 
@@ -297,8 +297,10 @@ def _3mf(path: Path, _start: bytes) -> StoredSurface:
             root = ElementTree.fromstring(file.read(models[0]))
         points, triangles, count = [], [], 0
         for mesh in root.iter(f"{_CORE}mesh"):
-            own = [[float(each.get(axis, "nan")) for axis in "xyz"] for each in mesh.iter(f"{_CORE}vertex")]
-            corners = [[int(each.get(k, "-1")) for k in ("v1", "v2", "v3")] for each in mesh.iter(f"{_CORE}triangle")]
+            own = [[float(vertex.get(axis, "nan")) for axis in "xyz"] for vertex in mesh.iter(f"{_CORE}vertex")]
+            corners = [
+                [int(triangle.get(k, "-1")) for k in ("v1", "v2", "v3")] for triangle in mesh.iter(f"{_CORE}triangle")
+            ]
             points += own
             triangles.append(np.reshape(corners, (-1, 3)).astype(np.int64) + count)
             count += len(own)

@@ -32,15 +32,15 @@ def read_obj(path: Path) -> tuple[Floats, Ints]:
 def _triangles(vertices: Floats, faces: list[bytes], before: Ints) -> Ints:
     """Triangles (T, 3) of faces, of which each has a number of vertices (F,) `before` it. Raises ValueError."""
     corners = np.array([len(face.split()) for face in faces], np.int64)
-    found = [np.zeros((0, 3), np.int64)]
+    triangles = [np.zeros((0, 3), np.int64)]
     for count in np.unique(corners[corners >= 3]):
         of_count = np.flatnonzero(corners == count)
         numbers = np.loadtxt([faces[k] for k in of_count], np.int64, ndmin=2)
         polygons = np.where(numbers < 0, numbers + before[of_count, None], numbers - 1)
         if polygons.min() < 0 or polygons.max() >= len(vertices):
             raise ValueError("a face has corners that do not exist")
-        found.append(triangulated(vertices, polygons))
-    return np.concatenate(found)
+        triangles.append(triangulated(vertices, polygons))
+    return np.concatenate(triangles)
 
 
 def triangulated(vertices: Floats, polygons: Ints) -> Ints:
@@ -80,6 +80,6 @@ def _is_ear(vertices: Floats, rest: list[int], at: int, facing: Floats) -> bool:
     a, b, c = vertices[ear]
     if np.cross(b - a, c - a) @ facing <= 0:
         return False
-    others = vertices[[each for each in rest if each not in ear]]
-    sides = [np.cross(end - begin, others - begin) @ facing for begin, end in ((a, b), (b, c), (c, a))]
-    return not bool(np.any(np.min(sides, axis=0) > 0)) if len(others) else True
+    outside = vertices[[corner for corner in rest if corner not in ear]]
+    sides = [np.cross(end - begin, outside - begin) @ facing for begin, end in ((a, b), (b, c), (c, a))]
+    return not bool(np.any(np.min(sides, axis=0) > 0)) if len(outside) else True
