@@ -79,14 +79,16 @@ class Options:
     def declare(cls, parser: ArgumentParser, changed: dict[str, dict[str, Any]] | None = None) -> None:
         """Add the fields to a parser, in their order."""
         hints = get_type_hints(cls)
-        for each in fields(cls):  # type: ignore[arg-type]
-            words = {**each.metadata}
+        for option_field in fields(cls):  # type: ignore[arg-type]
+            words = {**option_field.metadata}
             if part := words.get("part"):
                 part.declare(parser, words["changed"])
             elif declare := words.get("declare"):
                 declare(parser)
             else:
-                _declare(parser, each, hints[each.name], words | (changed or {}).get(each.name, {}))
+                _declare(
+                    parser, option_field, hints[option_field.name], words | (changed or {}).get(option_field.name, {})
+                )
 
     def refuse_missing(self) -> None:
         """Raise InputError for a path at which there should be something and is nothing: before what the work needs is
@@ -96,24 +98,24 @@ class Options:
             raise InputError(said)
 
     def _missing(self) -> Iterator[str]:
-        for each in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, each.name)
-            if each.metadata.get("part"):
+        for option_field in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, option_field.name)
+            if option_field.metadata.get("part"):
                 yield from value._missing()
-            elif said := each.metadata.get("existing"):
+            elif said := option_field.metadata.get("existing"):
                 paths = value if isinstance(value, list) else [value]
                 yield from (f"{path}: {said}" for path in paths if isinstance(path, Path) and not _is_there(path))
 
     def refuse_wrong_settings(self) -> None:
         """Raise InputError for a configuration that is wrong, likewise before what the work needs is imported."""
-        for each in fields(self):  # type: ignore[arg-type]
-            if each.metadata.get("part"):
-                getattr(self, each.name).refuse_wrong_settings()
+        for option_field in fields(self):  # type: ignore[arg-type]
+            if option_field.metadata.get("part"):
+                getattr(self, option_field.name).refuse_wrong_settings()
 
     @classmethod
     def of(cls, args: Namespace) -> Self:
         """The options that a parser has found."""
-        parts = {each.name: each.metadata.get("part") for each in fields(cls)}  # type: ignore[arg-type]
+        parts = {option_field.name: option_field.metadata.get("part") for option_field in fields(cls)}  # type: ignore[arg-type]
         return cls(**{name: part.of(args) if part else getattr(args, name) for name, part in parts.items()})
 
 

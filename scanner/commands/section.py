@@ -53,11 +53,11 @@ def _errors(args: SectionCommand, result: CleanedResult) -> SystematicErrors | N
 
 
 def _show(contours: tuple[Contour, ...], unit: str, terminal: Terminal) -> None:
-    shown = shown_unit(unit)
-    table = empty_table(f"Contours, {shown.name}", "plane", "length", "closed")
+    length_unit = shown_unit(unit)
+    table = empty_table(f"Contours, {length_unit.name}", "plane", "length", "closed")
     longest = sorted(enumerate(contours, start=1), key=lambda pair: -pair[1].length)[:_SHOWN]
     for number, contour in longest:
-        length = shown.measured(contour.length, contour.sigma)
+        length = length_unit.measured(contour.length, contour.sigma)
         table.add_row(str(number), contour.plane.name, length, "yes" if contour.is_closed else "no")
     terminal.show(table)
     if len(contours) > _SHOWN:

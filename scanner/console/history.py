@@ -131,9 +131,9 @@ class History:
 
     def _choose_other(self) -> None:
         listed = (path for path, *_ in self._listed or ())
-        others = tuple(str(path) for path in listed if path != self._chosen and _is_calibrated(path)) or (_NONE,)
-        if self._other.options != others:
-            self._other.options = others
+        candidates = tuple(str(path) for path in listed if path != self._chosen and _is_calibrated(path)) or (_NONE,)
+        if self._other.options != candidates:
+            self._other.options = candidates
         self._offer()
 
     def _offer(self) -> None:

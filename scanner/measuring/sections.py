@@ -114,8 +114,10 @@ def cut(
                 f"--plane {text}: meets no triangle: the surface reaches from {along.min():.4g} to {along.max():.4g} "
                 f"{unit_name(mesh.unit)} there"
             )
-        for each in [plane] if every is None else parallel_planes(plane, every, mesh.points, mesh.unit):
-            lines = [_contour(each, *line, result, errors, noise) for line in section_lines(mesh, each)]
+        for section_plane in [plane] if every is None else parallel_planes(plane, every, mesh.points, mesh.unit):
+            lines = [
+                _contour(section_plane, *line, result, errors, noise) for line in section_lines(mesh, section_plane)
+            ]
             contours += sorted((line for line in lines if line is not None), key=lambda contour: -contour.length)
     if not contours:
         raise InputError("the planes meet no triangle: choose others, or --every with a smaller interval")
@@ -254,7 +256,7 @@ def write_section_svg(path: Path, contours: Sequence[Contour], unit: str) -> Non
             y = height - y
             steps = " L".join(f"{a:.2f} {b:.2f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
             file.write(f'<path d="M{steps}{" Z" if contour.is_closed else ""}"/>\n')
-            if any(number == other for other, _ in longest):
+            if any(number == named for named, _ in longest):
                 numbers.append(_free_place(np.stack([x, y], axis=1), numbers))
                 across, down = numbers[-1]
                 file.write(f'<text x="{across:.1f}" y="{down:.1f}">{number}</text>\n')
@@ -265,15 +267,15 @@ def write_section_svg(path: Path, contours: Sequence[Contour], unit: str) -> Non
         file.write("</svg>\n")
 
 
-def _free_place(contour: Floats, others: Sequence[tuple[float, float]]) -> tuple[float, float]:
+def _free_place(contour: Floats, taken: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """A place (2,) for a number: the point of its contour (N, 2) that is furthest from other numbers, or below it where
     these are as near as that.
     """
-    if not others:
+    if not taken:
         return float(contour[0, 0]), float(contour[0, 1])
-    apart = np.linalg.norm(contour[:, None] - np.array(others), axis=2).min(axis=1)
+    apart = np.linalg.norm(contour[:, None] - np.array(taken), axis=2).min(axis=1)
     across, down = contour[np.argmax(apart)].tolist()
-    while min(max(abs(across - x) / _NUMBER[0], abs(down - y) / _NUMBER[1]) for x, y in others) < 1:
+    while min(max(abs(across - x) / _NUMBER[0], abs(down - y) / _NUMBER[1]) for x, y in taken) < 1:
         down += _NUMBER[1] / 2
     return across, down
 

@@ -301,13 +301,13 @@ def splatted_view(
     of `render`.
     """
     step = max(1, len(points) // int(2 * size[0] * size[1]))
-    seen, index = facing(
+    view_points, index = facing(
         points[None].astype(np.float32), normals[None].astype(np.float32), view.axes.astype(np.float32), 1, step
     )
-    low, high = _bounds(seen, [])
+    low, high = _bounds(view_points, [])
     scale = _SUPERSAMPLING * min(size[0] / (high - low)[0], size[1] / (high - low)[1])
     height, width = (int(np.ceil(extent * scale)) for extent in (high - low)[::-1])
-    pixels = (seen - np.append(low, 0).astype(np.float32)) * np.float32(scale)
+    pixels = (view_points - np.append(low, 0).astype(np.float32)) * np.float32(scale)
     opaque = np.full((len(index), 4), 255, np.uint8)
     opaque[:, :3] = colours[index]
     picture = splatted(pixels, opaque, height, width)

@@ -99,8 +99,10 @@ class ReportInput:
     @cached_property
     def scene(self) -> MeasuredScene | None:
         """Faces, angles, and how well lengths are known, as every page has them; None after a refusal."""
-        found = self.reconstructed
-        return measure_scene(self.sample, found.calibration, found.uncertainty) if found else None
+        reconstructed = self.reconstructed
+        return (
+            measure_scene(self.sample, reconstructed.calibration, reconstructed.uncertainty) if reconstructed else None
+        )
 
     @property
     def cell_px(self) -> int:
@@ -119,8 +121,8 @@ class ReportInput:
     @cached_property
     def in_cloud(self) -> Ints:
         """Those of the `pixels` that have a point in the cloud, (n,)."""
-        found = self.reconstructed
-        there = np.isfinite(found.cloud.points.reshape(-1, 3)[self.pixels, 2]) if found else slice(0)
+        reconstructed = self.reconstructed
+        there = np.isfinite(reconstructed.cloud.points.reshape(-1, 3)[self.pixels, 2]) if reconstructed else slice(0)
         return self.pixels[there]
 
     @property

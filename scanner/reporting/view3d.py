@@ -84,7 +84,7 @@ def turning_view(
     thinned: Thinned, orientation: dict[str, list[float]], lines: list[dict[str, object]], unit: str
 ) -> View3d:
     """For the viewer: `orientation` as of `looking`, and outlines in the cloud's frame, as of `device_lines`."""
-    points, shown = thinned.points, shown_unit(unit)
+    points, display_unit = thinned.points, shown_unit(unit)
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 1e-9)
     scene = {
@@ -92,7 +92,7 @@ def turning_view(
         "low": _rounded(low),
         "size": _rounded(size),
         "splat": float(f"{_SPLAT_OF_GRID * thinned.grid:.4g}"),
-        "unit": [shown.factor, shown.name],
+        "unit": [display_unit.factor, display_unit.name],
         **orientation,
         "lines": lines,
     }

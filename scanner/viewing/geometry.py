@@ -258,7 +258,7 @@ def arranged(labels: Sequence[TextLabel], view: WindowView) -> tuple[Anchor | No
         inside = [
             (anchor, area)
             for anchor, area in _areas(label, pixel, view.density)
-            if _is_inside(area, view) and not any(_overlap(area, other) for other in taken)
+            if _is_inside(area, view) and not any(_overlap(area, taken_area) for taken_area in taken)
         ]
         anchors.append(inside[0][0] if inside else None)
         taken += [area for _, area in inside[:1]]

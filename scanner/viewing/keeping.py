@@ -91,10 +91,10 @@ def png(picture: Image.Image) -> bytes:
 
 def gif(pictures: Iterable[Image.Image]) -> bytes:
     """Pictures of one size, one after the other and again, as the bytes of a GIF file; there has to be one."""
-    first, *others = pictures
+    first, *following = pictures
     # One palette for all: colours that changed from picture to picture would flicker.
     palette = first.quantize(_COLOURS)
-    frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in (first, *others)]
+    frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in (first, *following)]
     file = BytesIO()
     frames[0].save(file, "GIF", save_all=True, append_images=frames[1:], duration=_STEP_MS, loop=0)
     return file.getvalue()
