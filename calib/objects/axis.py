@@ -69,8 +69,8 @@ def find_turntable(places: Sequence[Pose], covariance: Floats, information: Floa
     off = _deviations(state, direction, point, basis, places, middle)
     # Satterthwaite: the weighted square of the residuals follows the χ² distribution whose degrees of freedom give its
     # mean and variance.
-    left = np.eye(len(off)) - slopes @ solver
-    expected = weight @ left @ allowed @ left.T
+    remaining = np.eye(len(off)) - slopes @ solver
+    expected = weight @ remaining @ allowed @ remaining.T
     mean = float(np.trace(expected))
     freedom = mean**2 / float(np.sum(expected * expected.T))
     deviation = float(off @ weight @ off) / mean

@@ -58,8 +58,8 @@ _MARK_GRAINS = 1.0
 
 def tolerance(first: ObjectView, second: ObjectView) -> float:
     """Largest distance of coinciding surfaces: noise, and a small calibration error."""
-    one, other = (float(np.median(view.sigma(view.pixel))) for view in (first, second))
-    return _SIGMAS * float(np.hypot(one, other)) + _BENT * first.grain
+    first_sigma, second_sigma = (float(np.median(view.sigma(view.pixel))) for view in (first, second))
+    return _SIGMAS * float(np.hypot(first_sigma, second_sigma)) + _BENT * first.grain
 
 
 def evidence(
@@ -69,8 +69,8 @@ def evidence(
     there = overlapping_pixels(second.patches.first(count), first, pose, within)
     here = overlapping_pixels(first.patches.first(count), second, pose.inverse(), within)
     both = np.concatenate([there, here])
-    own, other = match_keypoints(first.keypoints, second.keypoints)
-    apart = np.linalg.norm(pose @ second.keypoints.points[other] - first.keypoints.points[own], axis=1)
+    own, matched = match_keypoints(first.keypoints, second.keypoints)
+    apart = np.linalg.norm(pose @ second.keypoints.points[matched] - first.keypoints.points[own], axis=1)
     return OverlapEvidence(
         int(np.count_nonzero(both >= 0)),
         int(np.count_nonzero((both == THROUGH_FREE_SPACE) | (both == OFF_SURFACE))),
@@ -99,8 +99,8 @@ def confirmed(views: Sequence[ObjectView], places: Sequence[Pose]) -> list[Confi
         patches = Patches(*(values[there].astype(np.float64) for values in view.image[:2]))
         met_by, through = np.zeros((2, len(patches.points)), np.int64)
         total = np.zeros(len(patches.points))
-        for other, (seen_by, at) in enumerate(zip(views, places, strict=True)):
-            if other != k:
+        for viewer, (seen_by, at) in enumerate(zip(views, places, strict=True)):
+            if viewer != k:
                 to_other = at.inverse() @ place
                 overlap = overlapping_pixels(patches, seen_by, to_other, NARROW * view.grain)
                 met = np.flatnonzero(overlap >= 0)
