@@ -97,10 +97,10 @@ def sample_blur(fringes: Mapping[tuple[Axis, float], FringePower], usable: Bools
                 continue
             for number, axis in enumerate(_AXES):
                 cells += 1
-                found = _blur2(fringes, axis, part, good, slope[number])
-                if found is not None:
-                    blur2.append(found[0])
-                    doubt2.append(found[1])
+                blur_estimate = _blur2(fringes, axis, part, good, slope[number])
+                if blur_estimate is not None:
+                    blur2.append(blur_estimate[0])
+                    doubt2.append(blur_estimate[1])
                     span.append(float(np.linalg.norm(slope[number])))
                     where.append([(left + size / 2) / width, (top + size / 2) / height])
     lost = 1 - len(blur2) / cells if cells else 0.0

@@ -167,12 +167,12 @@ def _decoded(recording: Recording, terminal: Terminal) -> Decoded:
 def labelled(capture: Decoded, config: Config) -> Decoded:
     """With faces and further planes where there is a corner; others are joined by what they share with it."""
     try:
-        (found,) = label([capture], [capture], config)
+        (labelled_capture,) = label([capture], [capture], config)
     except RefusalError as refusal:
         finding = Finding(NO_CORNER_HERE, Severity.NOTE, f"no corner is found here: {refusal.reason}")
         return replace(capture, plane=None).with_findings(finding)
-    face, plane = found.matches.labels.clip(NO_FACE), found.plane
+    face, plane = labelled_capture.matches.labels.clip(NO_FACE), labelled_capture.plane
     if plane is not None:
         further = (face == NO_FACE) & (plane >= 0) & ~np.isin(plane, np.unique(plane[face >= 0]))
         face = np.where(further, len(FACES) + plane, face).astype(np.int32)
-    return found.with_matches(found.matches.with_faces(face), None)
+    return labelled_capture.with_matches(labelled_capture.matches.with_faces(face), None)

@@ -113,10 +113,10 @@ def consistency(clouds: Sequence[Cloud], views: Sequence[CornerView], turns: Seq
     apart = []
     for i, (cloud, view) in enumerate(zip(clouds, views, strict=True)):
         points = _sample(cloud)
-        for j, other in enumerate(views):
+        for j, target in enumerate(views):
             if j != i:
-                moved = other.in_camera(view.in_corner(points, turns[i]), turns[j])
-                apart.append(_from_surface(clouds[j], other, moved))
+                moved = target.in_camera(view.in_corner(points, turns[i]), turns[j])
+                apart.append(_from_surface(clouds[j], target, moved))
     return np.concatenate(apart)
 
 

@@ -115,10 +115,10 @@ def _between_pixels(values: Floats, size: tuple[int, int]) -> Floats:
     return np.linalg.inv(to_units) @ homography_of(values) @ to_units
 
 
-def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
+def on_panel(capture: Decoded, references: Sequence[Decoded] = ()) -> Decoded:
     """A capture with known planes, with its matches in square panel pixels, as far as its stripes determine them.
 
-    The origin of the panel is that of `others` of the same rig, if they have one.
+    The origin of the panel is that of `references` of the same rig, if they have one.
     """
     decoding, plane = capture.decoding, capture.matches.face if capture.plane is None else capture.plane
     if capture.panel is not None or decoding is None or decoding.stripes is None or plane is None:
@@ -128,9 +128,9 @@ def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
     if keystone is None:
         return replace(capture, panel=AS_SHOWN)
     homography = keystone.homography
-    for other in others:
-        if other.panel is not None and other.panel is not AS_SHOWN:
-            homography = beginning_as(other.panel.homography, homography, size)
+    for reference in references:
+        if reference.panel is not None and reference.panel is not AS_SHOWN:
+            homography = beginning_as(reference.panel.homography, homography, size)
             break
     matches = replace(capture.matches, projector_px=mapped(homography, capture.matches.projector_px))
     # A check before the scan suspected keystone correction; the capture has measured it.
@@ -140,10 +140,10 @@ def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
     return measured.with_findings(_finding(keystone))
 
 
-def beginning_as(other: Floats, homography: Floats, size: tuple[int, int]) -> Floats:
+def beginning_as(reference: Floats, homography: Floats, size: tuple[int, int]) -> Floats:
     """The homography by whole pixels of the panel nearer to another one."""
     middle = (np.array([size], np.float64) - 1) / 2
-    (apart,) = np.rint(mapped(other, middle) - mapped(homography, middle))
+    (apart,) = np.rint(mapped(reference, middle) - mapped(homography, middle))
     return np.array([[1, 0, apart[0]], [0, 1, apart[1]], [0, 0, 1]]) @ homography
 
 
