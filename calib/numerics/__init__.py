@@ -1,6 +1,19 @@
 """Numerics without geometry: arrays, compiled loops, tiles and threads, samples, robust and nonlinear fits, bases."""
 
-from calib.numerics.arrays import WHOLE, Bools, Floats, Floats32, Image, Ints, Part, Window, Words, by_columns, grey
+from calib.numerics.arrays import (
+    WHOLE,
+    Bools,
+    Floats,
+    Floats32,
+    Image,
+    Ints,
+    Part,
+    Window,
+    Words,
+    by_columns,
+    grey,
+    is_far,
+)
 from calib.numerics.jit import compiled, inlined
 from calib.numerics.least_squares import (
     NIELSEN,

@@ -15,6 +15,7 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 Window = tuple[slice, slice]
 Part = Window | tuple[NDArray[np.int64], NDArray[np.int64]]
 WHOLE: Window = slice(None), slice(None)
+_FAR = 100.0  # extents from the origin, at which single precision is 6e-6 of the extent
 
 
 def grey(image: NDArray[Any]) -> Floats:
@@ -26,3 +27,8 @@ def grey(image: NDArray[Any]) -> Floats:
 def by_columns(pixels: Floats) -> Floats:
     """Convert (N, 2) to double precision with contiguous columns."""
     return np.asfortranarray(pixels, dtype=np.float64)
+
+
+def is_far(points: Floats) -> bool:
+    """Whether single precision would show in points (N, 3): they are much farther from the origin than apart."""
+    return len(points) > 0 and bool(np.abs(points).max() > _FAR * np.ptp(points, axis=0).max())

@@ -12,7 +12,8 @@ import numpy as np
 import scipy
 
 from calib.deferred_imports import open3d
-from calib.numerics import Bools, Floats, Ints, evenly_spread, median, processors
+from calib.geometry import cross
+from calib.numerics import Bools, Floats, Ints, evenly_spread, is_far, median, processors
 from calib.pointcloud import scattered_surface
 from calib.registration.projection import Patches
 
@@ -29,7 +30,6 @@ _CREASE, _MOST_CREASES = 0.12, 0.4  # radians of neighbouring normals; least sha
 _BORDER = 0.4  # from a sample to its neighbours' middle, over their spread: 0.2 in a surface, 0.75 at a straight border
 _LEAN = 0.1  # of a sample's noise: what the tilted normal of a border may add a cell beside it
 _ORIENTED, _ORIENTATION_NEIGHBOURS = 4000, 12
-_FAR = 100.0  # extents from the origin, at which single precision is 6e-6 of the extent
 _FLAT = 1e-6  # thickness relative to the extent, below which points are on a plane, or a line
 _FOR_THREADS = 2000  # points, from which a search in threads is worth it
 _SLOT = 1 << 21  # cells along an axis that a number of a cell has room for
@@ -143,8 +143,7 @@ def _normals_of(points: Floats) -> Floats:
     extents, axes = np.linalg.eigh(np.cov(points.T))
     if extents[1] < _FLAT**2 * extents[2]:
         raise ValueError("the points of one of them are on a line, and show no surface")
-    least, size = points.min(axis=0), np.ptp(points, axis=0).max()
-    near = points if np.abs(points).max() < _FAR * size else points - (least - size)  # for single precision
+    near = points - (points.min(axis=0) - np.ptp(points, axis=0).max()) if is_far(points) else points
     normals: Floats = scattered_surface(near[None].astype(np.float32)).normals[0].astype(np.float64)
     if extents[0] < _FLAT**2 * extents[2]:  # on a plane: there are no tetrahedra between the points
         normals *= np.where(normals @ axes[:, 0] < 0, -1.0, 1.0)[:, None]
@@ -337,7 +336,7 @@ def is_closed(vertices: Floats, triangles: Ints) -> bool:
 def enclosed_volume(vertices: Floats, triangles: Ints) -> float:
     """The volume in a closed mesh, negative if its triangles run counter-clockwise as seen from within."""
     a, b, c = (vertices[triangles[:, k]] - vertices[0] for k in range(3))
-    return float(np.sum(a * np.cross(b, c))) / 6
+    return float(np.sum(a * cross(b, c))) / 6
 
 
 def sample_mesh(vertices: Floats, triangles: Ints, count: int) -> tuple[Floats, Floats]:

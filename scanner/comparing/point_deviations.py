@@ -13,7 +13,6 @@ from calib.registration import (
     SampledSurface,
     SurfacePoints,
     SurfaceRegistration,
-    are_opposed,
     cell_numbers,
     extent_of,
     find_regions,
@@ -25,12 +24,11 @@ from calib.registration import (
     spacing_of,
 )
 from scanner.comparing.outer_sides import outer_normals, towards
-from scanner.comparing.surfaces import ComparedSurface, nearest_values
+from scanner.comparing.surfaces import ComparedSurface, are_on_both_sides, nearest_values
 
 _CELLS, _SPACINGS, _REFERENCE_SPACINGS = 160.0, 3.0, 2.0
 _REACH_TOLERANCES, _REACH_TOLERANCE = 20.0, 3.0  # of the alignment; of the one that was given
 _SIDES = 6
-_OF_SIGNS = 100_000  # points of a mesh whose normals tell whether its faces are all on one side
 _BESIDE = 1.5  # cells, up to which a point of the reference is near a cell that was compared
 _SAMPLE, _OUTSIDE = 20_000, 0.01  # points that tell the extent; share of them outside of it at either end
 
@@ -145,8 +143,8 @@ def _noise(second: ComparedSurface, points: Floats, scale: float) -> Floats:
 
 def _normals_of_mesh(sampled: SurfacePoints) -> Floats | None:
     """Of its samples, if its faces are all on one side."""
-    some = (evenly_spread(each, _OF_SIGNS) for each in (sampled.points, sampled.normals) if each is not None)
-    return None if are_opposed(*some) else sampled.normals
+    normals = sampled.normals
+    return None if normals is None or are_on_both_sides(sampled.points, normals) else normals
 
 
 def _reference(surface: SurfacePoints) -> SampledSurface:

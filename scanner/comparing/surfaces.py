@@ -10,13 +10,13 @@ from scipy.spatial import cKDTree
 
 from calib.diagnostics import SystematicErrors
 from calib.geometry import Pose
-from calib.numerics import Bools, Floats, Ints, evenly_spread, in_slices
+from calib.numerics import Bools, Floats, Ints, evenly_spread, in_slices, is_far
 from calib.pointcloud import point_covariances
 from calib.registration import SurfacePoints, are_opposed, enclosed_volume, is_closed, sample_mesh
 from scanner.cleaning import CleanedResult, read_cleaned
 from scanner.errors import InputError
 from scanner.exporting import mesh_in_axes
-from scanner.io import StoredSurface, is_far, read_surface
+from scanner.io import StoredSurface, read_surface
 from scanner.measuring import rig_errors
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.results import CALIBRATION_FILE, FinishedScan, read_calibration_of, read_uncertainty
@@ -108,7 +108,7 @@ def read_compared(path: Path, capture: int | None = None) -> ComparedSurface:
         raise InputError(f"{path}: expected a surface, of {_FEWEST} points or more, {found}")
     views = () if stored.eye is None else ((stored.eye, stored.points),)
     normals, notes = stored.normals, [*_notes(path, stored)]
-    if normals is not None and are_opposed(*(evenly_spread(each, _OF_SIGNS) for each in (stored.points, normals))):
+    if normals is not None and are_on_both_sides(stored.points, normals):
         normals = None
         notes.append(f"{path}: its normals are on both sides of the surface, and were not used.")
     return ComparedSurface(
@@ -194,6 +194,11 @@ def _effects_of(errors: SystematicErrors, place: Pose, scan: FinishedScan, count
     moved = place.rotation @ errors.of_points(scan.matches[some], scan.points[some])
     moved += place.translation[:, None] * errors.log_scale
     return place @ scan.points[some], moved
+
+
+def are_on_both_sides(points: Floats, normals: Floats) -> bool:
+    """Whether normals (N, 3) of points (N, 3) are on either side of the surface, told by some of them."""
+    return are_opposed(evenly_spread(points, _OF_SIGNS), evenly_spread(normals, _OF_SIGNS))
 
 
 def nearest_values(places: Floats, values: Floats, points: Floats) -> Floats:

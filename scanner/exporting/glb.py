@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Intrinsics, Pose
-from calib.numerics import Floats
+from calib.numerics import Floats, is_far
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh, linear_light
-from scanner.io import is_far
 
 # Numbers of the glTF 2.0 specification.
 _MAGIC, _VERSION = 0x46546C67, 2

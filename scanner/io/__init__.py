@@ -38,7 +38,6 @@ from scanner.io.matches_file import (
 )
 from scanner.io.ply import (
     CloudPoints,
-    is_far,
     read_cloud,
     read_frame,
     write_merged_ply,

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Ints, compiled, in_slices, slices_of
+from calib.numerics import Floats, Ints, compiled, in_slices, is_far, slices_of
 from scanner.errors import InputError
 from scanner.io.given_file import opened, refuse_bomb
 
@@ -42,7 +42,6 @@ _TYPES = {
     **dict.fromkeys(("double", "float64"), "<f8"),
 }
 _TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
-_FAR = 100.0  # extents from the origin, at which single precision is 6e-6 of the extent
 _PIECE = 1 << 15  # points per write, within the processor's cache
 _COUNTED = 1 << 18  # points counted at a time
 _LONGEST_HEADER = 1 << 16
@@ -172,13 +171,6 @@ def write_scalar_ply(
             for name, values in scalars.items():
                 vertices[name] = values[piece, None]
             file.write(vertices.tobytes())
-
-
-def is_far(points: Floats) -> bool:
-    """Whether single precision would show in points (N, 3): they are much farther from the origin than apart."""
-    if not len(points):
-        return False
-    return bool(np.abs(points).max() > _FAR * np.ptp(points, axis=0).max())
 
 
 @compiled

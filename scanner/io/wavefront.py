@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.geometry import cross
 from calib.numerics import Bools, Floats, Ints
 from scanner.errors import InputError
 from scanner.io.given_file import read_whole
@@ -58,15 +59,14 @@ def triangulated(vertices: Floats, polygons: Ints) -> Ints:
 
 def _cross(vertices: Floats, triangles: Ints) -> Floats:
     a, b, c = (vertices[triangles[..., k]] for k in range(3))
-    normals: Floats = np.cross(b - a, c - a)
-    return normals
+    return cross(b - a, c - a)
 
 
 def _clipped(vertices: Floats, polygon: Ints) -> Ints:
     """Triangles (K - 2, 3) of one polygon (K,): ears are cut off, one after the other."""
     rest, ears = list(polygon), list[list[int]]()
     around = vertices[polygon] - vertices[polygon].mean(axis=0)
-    facing = np.cross(around, np.roll(around, -1, axis=0)).sum(axis=0)  # Newell
+    facing = cross(around, np.roll(around, -1, axis=0)).sum(axis=0)  # Newell
     while len(rest) > 3:
         at = next((k for k in range(len(rest)) if _is_ear(vertices, rest, k, facing)), 0)
         ears.append([rest[at - 1], rest[at], rest[(at + 1) % len(rest)]])
@@ -78,8 +78,8 @@ def _is_ear(vertices: Floats, rest: list[int], at: int, facing: Floats) -> bool:
     """Whether a corner of what is left points outwards, and its triangle has no other corner in it."""
     ear = [rest[at - 1], rest[at], rest[(at + 1) % len(rest)]]
     a, b, c = vertices[ear]
-    if np.cross(b - a, c - a) @ facing <= 0:
+    if cross(b - a, c - a) @ facing <= 0:
         return False
     outside = vertices[[corner for corner in rest if corner not in ear]]
-    sides = [np.cross(end - begin, outside - begin) @ facing for begin, end in ((a, b), (b, c), (c, a))]
+    sides = [cross(end - begin, outside - begin) @ facing for begin, end in ((a, b), (b, c), (c, a))]
     return not bool(np.any(np.min(sides, axis=0) > 0)) if len(outside) else True

@@ -74,7 +74,7 @@ class CodeImages:
 
     def thresholds(self, part: Part) -> dict[int, Image]:
         """Return the thresholds of bits without an inverse, by the frame's number, in a part of the image."""
-        return thresholds_of(self.frames.plan, self.bits, dict(self.frames.by_number(part))) if self.bits else {}
+        return thresholds_of(self.frames.plan, self.bits, dict(self.frames.by_number(part)))
 
     def with_edges(self, axis: AxisPlan) -> CodeWords | None:
         """Return the finest code of an axis whose stripe edges bound its cells; None with fringes, or if there is none.

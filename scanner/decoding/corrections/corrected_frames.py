@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -153,8 +153,12 @@ class CorrectedFrames:
 
     def _places(self, numbers: Collection[int] | None) -> dict[int, int]:
         """Return the place at which each frame, or each of some, was first taken, by number, in ascending order."""
-        first = {number: self.plan.shown.index(number) for number in dict.fromkeys(self.plan.shown)}
-        return {number: place for number, place in first.items() if numbers is None or number in numbers}
+        return {number: place for number, place in self._first.items() if numbers is None or number in numbers}
+
+    @cached_property
+    def _first(self) -> dict[int, int]:
+        """The place at which each frame was first taken, by number, in ascending order."""
+        return {number: self.plan.shown.index(number) for number in dict.fromkeys(self.plan.shown)}
 
 
 def estimate_corrections(stack: FrameStack) -> FrameCorrections:

@@ -332,7 +332,7 @@ class FrameGains:
     lit: LitRows | None = None
     """Of the pixels that tell those of fringes; None if none do."""
 
-    @property
+    @cached_property
     def harmful(self) -> GroupGains:
         """Those of the groups whose frames differ enough to do harm."""
         return {frames: gains for frames, gains in (self.of_pairs | self.of_fringes).items() if gains.are_harmful}
